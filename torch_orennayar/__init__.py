@@ -1,0 +1,64 @@
+"""Batched, differentiable Oren-Nayar shading, normal-map rendering and photometric stereo in PyTorch.
+
+Conventions: images (B, C, H, W), linear light; camera frame x right, y up, z toward the viewer;
+directions are unit vectors away from the surface; roughness in radians, 0 is Lambert.
+"""
+
+from ._version import __version__
+from .camera import Camera, swap_opencv_frame
+from .capture import Capture, load_capture
+from .errors import (
+    CaptureError,
+    ExportError,
+    FileError,
+    ModelError,
+    RangeError,
+    ShapeError,
+    TorchOrenNayarError,
+)
+from .export import export_onnx
+from .images import decode_normals, encode_normals, linear_to_srgb, srgb_to_linear
+from .integrate import integrate_normals
+from .mesh import load_mesh, save_mesh
+from .metrics import AngularError, angular_error
+from .reflectance import MODELS, Model, register_model
+from .render import NormalMap, render_normals
+from .shading import OrenNayar, brdf, directional_albedo, oren_nayar, point_light
+from .stereo import Reconstruction, photometric_stereo
+
+__all__ = [
+    "MODELS",
+    "AngularError",
+    "Camera",
+    "Capture",
+    "CaptureError",
+    "ExportError",
+    "FileError",
+    "Model",
+    "ModelError",
+    "NormalMap",
+    "OrenNayar",
+    "RangeError",
+    "Reconstruction",
+    "ShapeError",
+    "TorchOrenNayarError",
+    "__version__",
+    "angular_error",
+    "brdf",
+    "decode_normals",
+    "directional_albedo",
+    "encode_normals",
+    "export_onnx",
+    "integrate_normals",
+    "linear_to_srgb",
+    "load_capture",
+    "load_mesh",
+    "oren_nayar",
+    "photometric_stereo",
+    "point_light",
+    "register_model",
+    "render_normals",
+    "save_mesh",
+    "srgb_to_linear",
+    "swap_opencv_frame",
+]

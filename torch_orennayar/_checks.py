@@ -1,0 +1,88 @@
+"""Checks at the boundary, which cost nothing while torch compiles or exports."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from .errors import RangeError, ShapeError
+
+HAND_SIZED = 4096
+"""Directions of at most this many numbers were made by hand or by a light file, and are checked."""
+
+
+def checking() -> bool:
+    """Whether values may be looked at now."""
+    return not torch.compiler.is_compiling()
+
+
+def check_axis(argument: str, tensor: Tensor, axis_from_end: int, sizes: tuple[int, ...]) -> None:
+    """``tensor`` has one of ``sizes`` along the axis that lies ``axis_from_end`` (negative) from its end."""
+    if tensor.ndim < -axis_from_end or tensor.shape[axis_from_end] not in sizes:
+        wanted = " or ".join(str(s) for s in sizes)
+        raise ShapeError(
+            argument,
+            expected=f"size {wanted} along axis {axis_from_end} (x, y, z or channels lie there)",
+            got=f"shape {tuple(tensor.shape)}",
+            mend="reshape it so that it broadcasts, e.g. light.reshape(B, 3, 1, 1), or pass dim=",
+        )
+
+
+def check_broadcast(axis_from_end: int, **values: Tensor | float) -> None:
+    """The tensors among ``values`` broadcast, apart from the axis that holds x, y, z or channels."""
+    shapes = {name: tuple(v.shape) for name, v in values.items() if isinstance(v, Tensor)}
+    rest = [list(shape) for shape in shapes.values()]
+    for shape in rest:
+        if len(shape) >= -axis_from_end:
+            shape[axis_from_end] = 1
+    try:
+        torch.broadcast_shapes(*rest)
+    except RuntimeError as mismatch:
+        raise ShapeError(
+            ", ".join(shapes),
+            expected="shapes that broadcast",
+            got=", ".join(str(shape) for shape in shapes.values()),
+            mend="give the arguments equal sizes, or 1, along each axis",
+        ) from mismatch
+
+
+def check_range(argument: str, value: Tensor | float, low: float, high: float, mend: str) -> None:
+    """Every number of ``value`` lies in [low, high]; NaN does not."""
+    if not checking():
+        return
+    if isinstance(value, Tensor):
+        if value.numel() == 0:
+            return
+        try:
+            least, most = (float(v) for v in value.detach().aminmax())
+        except RuntimeError:  # inside vmap values cannot be looked at
+            return
+    else:
+        least = most = float(value)
+    if not (low <= least and most <= high):
+        raise RangeError(
+            argument,
+            expected=f"values in [{low:g}, {high:g}]" if math.isfinite(high) else f"values >= {low:g}",
+            got="NaN" if math.isnan(least) or math.isnan(most) else f"{least:g} to {most:g}",
+            mend=mend,
+        )
+
+
+def check_unit(argument: str, vectors: Tensor, dim: int) -> None:
+    """Directions given by hand are of unit length (maps are trusted: background is zero there)."""
+    if not checking() or vectors.numel() > HAND_SIZED or vectors.shape.count(3) == 0:
+        return
+    length = vectors.detach().float().norm(dim=dim)
+    try:
+        wrong = bool(((length - 1).abs() > 0.02).any() or length.isnan().any())
+    except RuntimeError:  # inside vmap values cannot be looked at
+        return
+    if wrong:
+        raise RangeError(
+            argument,
+            expected="unit vectors",
+            got=f"lengths {float(length.min()):.3g} to {float(length.max()):.3g}",
+            mend="use torch.nn.functional.normalize; for a light's position use point_light",
+        )

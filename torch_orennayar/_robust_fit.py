@@ -1,0 +1,265 @@
+"""Per-pixel robust fits of normal and albedo under known lights, all pixels at once.
+
+Observations are (P, K): P pixels, K lights. The view is orthographic, (0, 0, 1).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from .progress import track
+from .reflectance import ModelFunction, get_model
+
+CHUNK = 1024
+"""Pixels solved together: the (CHUNK, K) temporaries stay in cache."""
+SHADOW = 0.08
+"""Observations below this share of a pixel's 90th percentile count as shadow."""
+MIN_LIGHTS_RANKED = 10
+"""With fewer lights no ranks are left out, only shadows."""
+MIN_NORMAL_Z = 0.02
+
+
+@dataclass(frozen=True)
+class PixelFit:
+    """Result for P pixels.
+
+    Attributes:
+        normal: (P, 3) unit.
+        albedo: (P, 1).
+        weight: (P, K) of every observation in the last step, in [0, 1].
+        residual: (P, 1) mean absolute difference over all lights.
+        spread: (P, 1) predicted standard error of the normal in radians; infinite if undetermined.
+    """
+
+    normal: Tensor
+    albedo: Tensor
+    weight: Tensor
+    residual: Tensor
+    spread: Tensor
+
+
+def fit(
+    grey: Tensor,
+    lights: Tensor,
+    model: str,
+    sigma: float,
+    *,
+    steps: int = 10,
+    lit_only: bool | None = None,
+    start: PixelFit | None = None,
+    show: str = "",
+) -> PixelFit:
+    """Fit every pixel of ``grey`` (P, K) under ``lights`` (K, 3) with one ``model`` and roughness.
+
+    ``lit_only`` uses all observations in light instead of the middle ranks; default: for all but Lambert.
+    ``start`` continues from an earlier fit of the same pixels.
+    """
+    every_lit = model != "lambert" if lit_only is None else lit_only
+    starts = range(0, len(grey), CHUNK)
+    parts = [
+        _fit_chunk(
+            grey[i : i + CHUNK],
+            lights,
+            get_model(model).function,
+            every_lit,
+            sigma,
+            steps,
+            None if start is None else (start.normal[i : i + CHUNK], start.albedo[i : i + CHUNK]),
+        )
+        for i in (track(starts, show, len(starts)) if show else starts)
+    ]
+    return PixelFit(*(torch.cat([getattr(p, name) for p in parts]) for name in PixelFit.__dataclass_fields__))
+
+
+def least_squares(grey: Tensor, lights: Tensor) -> PixelFit:
+    """Plain Lambertian least squares over all observations."""
+    weight = torch.ones_like(grey)
+    scaled = _linear(grey, lights, weight)
+    albedo = scaled.norm(dim=1, keepdim=True)
+    normal = _upward(scaled)
+    residual = (grey - scaled @ lights.T).abs().mean(1, keepdim=True)
+    spread = residual / albedo.clamp_min(torch.finfo(grey.dtype).tiny) * math.sqrt(2 / len(lights))
+    return PixelFit(normal, albedo, weight, residual, spread)
+
+
+def predict(fitted: PixelFit, lights: Tensor, model: str, sigma: float) -> Tensor:
+    """What the fit says every pixel shows under ``lights``, (P, K)."""
+    value, ci = _evaluate(get_model(model).function, fitted.normal, fitted.albedo, lights, sigma)[:2]
+    return value * ci
+
+
+def albedo_per_channel(fitted: PixelFit, colour: Tensor, lights: Tensor, model: str, sigma: float) -> Tensor:
+    """Albedo of each channel of ``colour`` (K, C, P) under the fitted normals and weights, (P, C).
+
+    Inter-reflection makes the model nonlinear in albedo: a few fixed-point steps settle it.
+    """
+    function = get_model(model).function
+    channels = []
+    for channel in colour.unbind(1):
+        albedo = fitted.albedo
+        for _ in range(1 if model == "lambert" else 4):
+            value, ci, *_ = _evaluate(function, fitted.normal, albedo, lights, sigma)
+            shape = value * ci / albedo
+            weighted = fitted.weight * shape
+            norm = (weighted * shape).sum(1, keepdim=True).clamp_min(1e-12)
+            albedo = ((weighted * channel.T).sum(1, keepdim=True) / norm).clamp_min(1e-9)
+        channels.append(albedo)
+    return torch.cat(channels, 1)
+
+
+def _fit_chunk(
+    grey: Tensor,
+    lights: Tensor,
+    function: ModelFunction,
+    every_lit: bool,
+    sigma: float,
+    steps: int,
+    start: tuple[Tensor, Tensor] | None,
+) -> PixelFit:
+    """Gauss-Newton on two tangent angles and albedo with Geman-McClure weights."""
+    used = _lit(grey) if every_lit else _middle_ranks(grey)
+    scale = grey.abs().mean(1, keepdim=True).clamp_min(1e-12)
+    normal, albedo = start or _start(grey, lights, scale)
+    for _ in range(steps):
+        value, ci, d_ci, d_co, d_rho = _evaluate(function, normal, albedo, lights, sigma)
+        residual = grey - value * ci
+        noise = _noise(residual, used, scale)
+        weight = used / (1 + (residual / (2 * noise)) ** 2) ** 2
+        by_light, by_view, by_rho = value + ci * d_ci, ci * d_co, ci * d_rho
+        matrix, gradient, basis = _normal_equations(weight, residual, by_light, by_view, by_rho, lights, normal, scale)
+        damping = 1e-3 * matrix.diagonal(dim1=1, dim2=2) + 1e-9 * scale**2 * len(lights)
+        step = solve3(matrix + torch.diag_embed(damping), gradient)
+        turn = step[:, :2] * (0.25 / step[:, :2].norm(dim=1, keepdim=True).clamp_min(0.25))
+        normal = _upward(normal + (basis * turn[:, :, None]).sum(1))
+        albedo = torch.maximum(albedo + step[:, 2:] * scale, 1e-6 * scale)
+    value, ci, *_ = _evaluate(function, normal, albedo, lights, sigma)
+    residual = (grey - value * ci).abs().mean(1, keepdim=True)
+    return PixelFit(normal, albedo, weight, residual, 1.25 * residual * _tangent_spread(matrix))
+
+
+def _start(grey: Tensor, lights: Tensor, scale: Tensor) -> tuple[Tensor, Tensor]:
+    """Least squares on the middle ranks."""
+    scaled = _linear(grey, lights, _middle_ranks(grey))
+    return _upward(scaled), torch.maximum(scaled.norm(dim=1, keepdim=True), 1e-3 * scale)
+
+
+def _evaluate(
+    function: ModelFunction, normal: Tensor, albedo: Tensor, lights: Tensor, sigma: float
+) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+    """``pi f_r``, n.l and the derivatives of the former by n.l, n.v and albedo, (P, K); 0 where unlit."""
+    raw = normal @ lights.T
+    lit = raw > 0
+    with torch.enable_grad():
+        ci = torch.where(lit, raw, 1.0).clamp_min(1e-4).requires_grad_()
+        co = normal[:, 2:].expand_as(ci).contiguous().requires_grad_()
+        rho = albedo.expand_as(ci).contiguous().requires_grad_()
+        value = function(ci, co, lights[:, 2].expand_as(ci), rho, normal.new_tensor(sigma))
+        # Element-wise functions: the gradient of the sum holds every element's own derivative.
+        derivatives = torch.autograd.grad(value.sum(), (ci, co, rho))
+    d_ci, d_co, d_rho = (torch.where(lit, d, 0.0) for d in derivatives)
+    return torch.where(lit, value.detach(), 0.0), ci.detach(), d_ci, d_co, d_rho
+
+
+def _normal_equations(
+    weight: Tensor,
+    residual: Tensor,
+    by_light: Tensor,
+    by_view: Tensor,
+    by_rho: Tensor,
+    lights: Tensor,
+    normal: Tensor,
+    scale: Tensor,
+) -> tuple[Tensor, Tensor, Tensor]:
+    """3 x 3 systems in (two tangent angles, albedo / scale) and the (P, 2, 3) tangent basis.
+
+    The derivative by the normal is ``by_light l + by_view v``: sums over lights are matrix products.
+    """
+    outer = (lights[:, :, None] * lights[:, None, :]).reshape(-1, 9)
+    wl, wv, wr = weight * by_light, weight * by_view, weight * by_rho
+    nn = ((wl * by_light) @ outer).reshape(-1, 3, 3)
+    cross = (wl * by_view) @ lights
+    nn[:, :, 2] += cross
+    nn[:, 2, :] += cross
+    nn[:, 2, 2] += (wv * by_view).sum(1)
+    nr = (wl * by_rho) @ lights
+    nr[:, 2] += (wv * by_rho).sum(1)
+    gn = (wl * residual) @ lights
+    gn[:, 2] += (wv * residual).sum(1)
+    basis = _tangents(normal)
+    tt = basis @ nn @ basis.transpose(1, 2)
+    tr = (basis @ nr[:, :, None]) * scale[:, :, None]
+    rr = ((wr * by_rho).sum(1, keepdim=True) * scale**2)[:, :, None]
+    matrix = torch.cat((torch.cat((tt, tr), 2), torch.cat((tr.transpose(1, 2), rr), 2)), 1)
+    gradient = torch.cat(((basis @ gn[:, :, None])[:, :, 0], (wr * residual).sum(1, keepdim=True) * scale), 1)
+    return matrix, gradient, basis
+
+
+def solve3(matrix: Tensor, right: Tensor) -> Tensor:
+    """Solve (P, 3, 3) symmetric systems by Cramer's rule; 0 where singular."""
+    a, b, c = matrix.unbind(1)
+    bc, ca, ab = torch.linalg.cross(b, c), torch.linalg.cross(c, a), torch.linalg.cross(a, b)
+    determinant = (a * bc).sum(1, keepdim=True)
+    solution = torch.stack((bc, ca, ab), 1) @ right[:, :, None]
+    regular = determinant.abs() > torch.finfo(matrix.dtype).tiny * 1e6
+    return torch.where(regular, solution[:, :, 0] / torch.where(regular, determinant, 1), 0)
+
+
+def _linear(grey: Tensor, lights: Tensor, weight: Tensor) -> Tensor:
+    """Weighted Lambertian least squares, albedo times normal, (P, 3)."""
+    outer = (lights[:, :, None] * lights[:, None, :]).reshape(-1, 9)
+    matrix = (weight @ outer).reshape(-1, 3, 3)
+    ridge = 1e-6 * matrix.diagonal(dim1=1, dim2=2).sum(1)[:, None, None] * torch.eye(3).to(matrix)
+    return solve3(matrix + ridge, (weight * grey) @ lights)
+
+
+def _upward(vector: Tensor) -> Tensor:
+    """Unit vectors that face the camera; (0, 0, 1) for a zero vector."""
+    unit = F.normalize(vector + 1e-12 * vector.new_tensor((0.0, 0.0, 1.0)), dim=1)
+    return F.normalize(torch.cat((unit[:, :2], unit[:, 2:].clamp_min(MIN_NORMAL_Z)), 1), dim=1)
+
+
+def _tangents(normal: Tensor) -> Tensor:
+    """Two unit tangents of every normal, (P, 2, 3)."""
+    x, _, z = normal.unbind(1)
+    first = F.normalize(torch.stack((z, torch.zeros_like(z), -x), 1), dim=1)
+    return torch.stack((first, torch.linalg.cross(normal, first)), 1)
+
+
+def _tangent_spread(matrix: Tensor) -> Tensor:
+    """Square root of the summed variances of both tangent angles per unit noise, (P, 1)."""
+    inverse_trace = torch.zeros_like(matrix[:, 0, 0])
+    for axis in (0, 1):
+        unit = torch.zeros_like(matrix[:, 0])
+        unit[:, axis] = 1
+        inverse_trace = inverse_trace + solve3(matrix, unit)[:, axis]
+    return torch.where(inverse_trace > 0, inverse_trace, torch.inf).sqrt()[:, None]
+
+
+def _middle_ranks(grey: Tensor) -> Tensor:
+    """1 for observations of the ranks 20 % to 80 % of their pixel, with few lights for those in light."""
+    count = grey.shape[1]
+    if count < MIN_LIGHTS_RANKED:
+        return _lit(grey)
+    kept = torch.zeros_like(grey)
+    order = grey.argsort(1)[:, math.floor(0.2 * count) : math.ceil(0.8 * count)]
+    return kept.scatter_(1, order, 1.0)
+
+
+def _lit(grey: Tensor) -> Tensor:
+    """1 for observations that are not in shadow; at least the three brightest."""
+    count = grey.shape[1]
+    threshold = SHADOW * grey.kthvalue(max(1, round(0.9 * count)), dim=1, keepdim=True).values
+    third = grey.kthvalue(max(1, count - 2), dim=1, keepdim=True).values
+    return (grey >= torch.minimum(threshold, third)).to(grey)
+
+
+def _noise(residual: Tensor, used: Tensor, scale: Tensor) -> Tensor:
+    """Robust standard deviation of the residuals in use, at least 1 % of the pixel's mean, (P, 1)."""
+    magnitude = torch.where(used > 0, residual.abs(), torch.inf).sort(1).values
+    middle = ((used.sum(1, keepdim=True) - 1) / 2).long().clamp_min(0)
+    return torch.maximum(1.4826 * magnitude.gather(1, middle), 0.01 * scale)

@@ -1,0 +1,342 @@
+"""Load a photometric-stereo capture: a folder of photographs and a file of lights."""
+
+from __future__ import annotations
+
+import os
+import re
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from .errors import FileError, RangeError
+from .images import IMAGE_SUFFIXES, read_image, srgb_to_linear, to_unit, write_image
+from .progress import track
+
+LIGHT_FILES = ("light_directions.txt", "lights.txt")
+INTENSITY_FILES = ("light_intensities.txt", "intensities.txt")
+TRUTH_FILES = ("Normal_gt.mat", "normal_gt.npy")
+
+
+@dataclass(frozen=True)
+class Capture:
+    """Photographs of one object under known lights, in linear light.
+
+    Attributes:
+        images: (K, 3, H, W) float32, linear, each divided by its light's intensity; 1 is a white
+            Lambertian surface facing the light where intensities are calibrated so.
+        lights: (K, 3) unit directions to the light, camera frame (x right, y up, z to the viewer).
+        intensities: (K, 3) RGB irradiance that the images were divided by.
+        mask: (1, H, W) bool, the object.
+        normal: (3, H, W) true normals, or None.
+        names: file names of the images.
+        notes: what the loader decided, one sentence each (encoding, masks, lengths).
+    """
+
+    images: Tensor
+    lights: Tensor
+    intensities: Tensor
+    mask: Tensor
+    normal: Tensor | None
+    names: tuple[str, ...]
+    notes: tuple[str, ...] = field(default=())
+
+
+def load_capture(
+    path: str | os.PathLike[str],
+    *,
+    lights: str | os.PathLike[str] | None = None,
+    mask: str | os.PathLike[str] | None = None,
+    encoding: str = "auto",
+) -> Capture:
+    """Load a capture from a DiLiGenT folder, a folder with a light file, or an ``.lp`` file.
+
+    Looked for in the folder: ``filenames.txt`` (else every image but the mask, in natural order);
+    ``light_directions.txt`` or ``lights.txt`` (a line ``x y z`` per image, an image's name may stand
+    first) or one ``*.lp``; ``light_intensities.txt`` (1 or 3 numbers per line, default 1); ``mask.png``
+    (default all pixels); ``Normal_gt.mat`` or ``normal_gt.npy`` ((H, W, 3), truth).
+
+    Args:
+        path: the folder, or an ``.lp`` file beside its images.
+        lights: a light file kept elsewhere.
+        mask: a mask image kept elsewhere; white is the object.
+        encoding: ``"linear"``, ``"srgb"``, or ``"auto"``: 8-bit files are sRGB-encoded, all others linear.
+
+    Returns:
+        A `Capture`.
+
+    Raises:
+        FileError: a file is missing, damaged or truncated, lies outside the folder, or images differ in
+            size or bit depth, or the numbers of lights and images differ.
+        RangeError: lights that are no unit vectors, intensities that are not positive.
+
+    Source:
+        File layout of Shi et al., "A Benchmark Dataset and Evaluation for Non-Lambertian and Uncalibrated
+        Photometric Stereo" (DiLiGenT), 2016; ``.lp`` as in reflectance transformation imaging.
+
+    Example:
+        >>> import tempfile, torch, torch_orennayar as ton
+        >>> from torch_orennayar.capture import save_capture
+        >>> lights = torch.nn.functional.normalize(torch.tensor([[0.0, 0, 1], [1, 0, 1], [0, 1, 1]]), dim=-1)
+        >>> folder = tempfile.mkdtemp()
+        >>> save_capture(folder, torch.full((3, 3, 4, 5), 0.25), lights, torch.ones(1, 4, 5, dtype=torch.bool))
+        >>> ton.load_capture(folder).images.shape
+        torch.Size([3, 3, 4, 5])
+    """
+    if encoding not in ("auto", "linear", "srgb"):
+        raise RangeError("encoding", expected="'auto', 'linear' or 'srgb'", got=repr(encoding), mend="choose one")
+    source = Path(path)
+    if not source.exists():
+        raise FileError(str(source), expected="a capture folder or .lp file", got="nothing there", mend="check it")
+    folder = source if source.is_dir() else source.parent
+    light_file = Path(lights) if lights is not None else _find_light_file(source)
+    mask_file = Path(mask) if mask is not None else folder / "mask.png"
+    files, directions = _pair(folder, light_file, mask_file)
+    notes: list[str] = []
+    images = _read_images(files, encoding, notes)
+    height, width = images.shape[-2:]
+    intensities = _read_intensities(folder, len(files), notes)
+    images /= intensities[:, :, None, None]
+    return Capture(
+        images=images,
+        lights=directions,
+        intensities=intensities,
+        mask=_read_mask(mask_file, (height, width), required=mask is not None, notes=notes),
+        normal=_read_truth(folder, (height, width)),
+        names=tuple(f.name for f in files),
+        notes=tuple(notes),
+    )
+
+
+def save_capture(
+    path: str | os.PathLike[str],
+    images: Tensor,
+    lights: Tensor,
+    mask: Tensor,
+    normal: Tensor | None = None,
+) -> None:
+    """Write a capture that `load_capture` reads: 16-bit linear PNGs, each stretched to its full range.
+
+    Args:
+        path: the folder.
+        images: (K, 3, H, W) linear light, >= 0; what the format cannot hold goes into the intensities.
+        lights: (K, 3) unit.
+        mask: (1, H, W) bool.
+        normal: (3, H, W) true normals, or None.
+    """
+    folder = Path(path)
+    folder.mkdir(parents=True, exist_ok=True)
+    top = images.amax((1, 2, 3)).clamp_min(1e-6)
+    names = [f"{index + 1:03d}.png" for index in range(len(images))]
+    for name, image, scale in zip(names, images, top, strict=True):
+        write_image(folder / name, image / scale, bits=16)
+    (folder / "filenames.txt").write_text("\n".join(names) + "\n")
+    np.savetxt(folder / "light_directions.txt", lights.cpu().numpy(), fmt="%.8f")
+    np.savetxt(folder / "light_intensities.txt", (1 / top)[:, None].expand(-1, 3).cpu().numpy(), fmt="%.8g")
+    write_image(folder / "mask.png", mask.float())
+    if normal is not None:
+        np.save(folder / "normal_gt.npy", normal.permute(1, 2, 0).cpu().numpy())
+
+
+def _find_light_file(source: Path) -> Path:
+    if source.is_file():
+        return source
+    found = [source / name for name in LIGHT_FILES if (source / name).is_file()] or sorted(source.glob("*.lp"))
+    if not found:
+        raise FileError(
+            str(source),
+            expected=f"{' or '.join(LIGHT_FILES)} or an .lp file",
+            got="none of them",
+            mend="write one line 'x y z' per image, or pass lights= (--lights)",
+        )
+    return found[0]
+
+
+def _lines(file: Path) -> list[list[str]]:
+    """The words of each line, without comments, blank lines and the marks of other systems."""
+    if not file.is_file():
+        raise FileError(str(file), expected="a text file", got="nothing there", mend="check the name")
+    try:
+        text = file.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise FileError(str(file), expected="a text file", got="binary data", mend="save it as UTF-8") from error
+    rows = (line.split("#")[0].replace(",", " ").split() for line in text.splitlines())
+    return [row for row in rows if row]
+
+
+def _pair(folder: Path, light_file: Path, mask_file: Path) -> tuple[list[Path], Tensor]:
+    """Image files and their light directions, matched by name where the light file has names."""
+    rows = _lines(light_file)
+    if rows and len(rows[0]) == 1:  # .lp files begin with their count
+        count = rows.pop(0)[0]
+        if count != str(len(rows)):
+            raise FileError(
+                str(light_file), expected=f"{count} lights as its first line says", got=str(len(rows)), mend="mend it"
+            )
+    named = [row[0] for row in rows if len(row) == 4]
+    if named and len(named) != len(rows):
+        raise FileError(str(light_file), expected="a name in all lines or in none", got="both", mend="mend the file")
+    directions = _numbers(light_file, [row[1:] if named else row for row in rows], (3,))
+    length = directions.norm(dim=1, keepdim=True)
+    for index in ((length - 1).abs() > 0.02).flatten().nonzero().flatten().tolist():
+        raise RangeError(
+            f"{light_file} entry {index + 1}",
+            expected="a unit vector",
+            got=f"length {length[index].item():.4g}",
+            mend=f"divide it by its length; intensities belong into {INTENSITY_FILES[0]}",
+        )
+    files = [_inside(folder, name) for name in named] or _image_files(folder, mask_file)
+    if len(files) != len(rows):
+        raise FileError(
+            str(light_file),
+            expected=f"{len(files)} lights, one per image",
+            got=str(len(rows)),
+            mend="add the missing lines" if len(rows) < len(files) else "remove the lines that have no image",
+        )
+    return files, (directions / length).float()
+
+
+def _image_files(folder: Path, mask_file: Path) -> list[Path]:
+    listing = folder / "filenames.txt"
+    if listing.is_file():
+        return [_inside(folder, " ".join(row)) for row in _lines(listing)]
+
+    def natural(file: Path) -> list[tuple[int, str]]:
+        return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", file.name)]
+
+    reserved = ("mask", "normal")
+    return sorted(
+        (
+            f
+            for f in folder.iterdir()
+            if f.suffix.lower() in IMAGE_SUFFIXES and f != mask_file and not f.stem.lower().startswith(reserved)
+        ),
+        key=natural,
+    )
+
+
+def _inside(folder: Path, name: str) -> Path:
+    """``folder / name``, refused if that is not inside the folder."""
+    file = folder / name.replace("\\", "/")
+    if not file.resolve().is_relative_to(folder.resolve()):
+        raise FileError(
+            name, expected=f"a file inside {folder}", got="a path that leaves it", mend="move the image into the folder"
+        )
+    return file
+
+
+def _numbers(file: Path, rows: list[list[str]], widths: tuple[int, ...]) -> Tensor:
+    table: list[list[float]] = []
+    for index, row in enumerate(rows):
+        try:
+            values = [float(word) for word in row]
+        except ValueError:
+            values = []
+        if len(values) not in widths or len(values) != len(table[0] if table else values):
+            raise FileError(
+                f"{file} entry {index + 1}",
+                expected=f"{' or '.join(str(w) for w in widths)} numbers, as many in every line",
+                got=" ".join(row)[:60],
+                mend="mend the line",
+            )
+        table.append(values)
+    result = torch.tensor(table, dtype=torch.float64).reshape(len(table), -1)
+    if not bool(result.isfinite().all()):
+        raise RangeError(str(file), expected="finite numbers", got="NaN or infinity", mend="mend the file")
+    return result
+
+
+def _read_images(files: list[Path], encoding: str, notes: list[str]) -> Tensor:
+    """(K, 3, H, W) linear float32; all of one size and bit depth."""
+    if not files:
+        raise FileError("images", expected="image files in the folder", got="none", mend="check the folder")
+    workers = min(4, os.cpu_count() or 1)
+    with ThreadPoolExecutor(workers) as pool:
+        arrays = list(track(pool.map(read_image, files), "reading images", len(files)))
+    first = arrays[0]
+    for file, array in zip(files, arrays, strict=True):
+        if array.shape[:2] != first.shape[:2]:
+            raise FileError(
+                str(file),
+                expected=f"{first.shape[1]} x {first.shape[0]} pixels as in {files[0].name}",
+                got=f"{array.shape[1]} x {array.shape[0]}",
+                mend="bring all images of a capture to one size",
+            )
+        if array.dtype != first.dtype:
+            raise FileError(
+                str(file),
+                expected=f"{first.dtype} samples as in {files[0].name}",
+                got=str(array.dtype),
+                mend="export all images of a capture with one bit depth",
+            )
+    curved = encoding == "srgb" or (encoding == "auto" and first.dtype == np.uint8)
+    notes.append(f"{first.dtype} images read as {'sRGB-encoded' if curved else 'linear light'}")
+    result = torch.empty(len(arrays), 3, *first.shape[:2])
+    for index, array in enumerate(arrays):
+        unit = torch.from_numpy(to_unit(array))
+        image = unit.expand(3, -1, -1) if unit.ndim == 2 else unit.permute(2, 0, 1)
+        result[index] = srgb_to_linear(image) if curved else image
+    return result
+
+
+def _read_intensities(folder: Path, count: int, notes: list[str]) -> Tensor:
+    file = next((folder / name for name in INTENSITY_FILES if (folder / name).is_file()), None)
+    if file is None:
+        notes.append("no light intensities: all lights taken as equally bright")
+        return torch.ones(count, 3)
+    values = _numbers(file, _lines(file), (1, 3))
+    if len(values) != count:
+        raise FileError(
+            str(file), expected=f"{count} lines, one per image", got=str(len(values)), mend="one line per image"
+        )
+    if not bool((values > 0).all()):
+        raise RangeError(str(file), expected="positive intensities", got=f"{values.min():g}", mend="mend the file")
+    return values.expand(-1, 3).float().contiguous()
+
+
+def _read_mask(file: Path, size: tuple[int, int], *, required: bool, notes: list[str]) -> Tensor:
+    if not file.is_file() and not required:
+        notes.append("no mask.png: every pixel is taken as the object")
+        return torch.ones(1, *size, dtype=torch.bool)
+    array = to_unit(read_image(file))
+    array = array if array.ndim == 2 else array.max(axis=2)
+    if array.shape != size:
+        raise FileError(
+            str(file),
+            expected=f"{size[1]} x {size[0]} pixels as the images have",
+            got=f"{array.shape[1]} x {array.shape[0]}",
+            mend="crop or resize the mask",
+        )
+    mask = torch.from_numpy(array > 0.5)[None]
+    if not bool(mask.any()):
+        raise FileError(str(file), expected="some white pixels", got="an empty mask", mend="paint the object white")
+    return mask
+
+
+def _read_truth(folder: Path, size: tuple[int, int]) -> Tensor | None:
+    file = next((folder / name for name in TRUTH_FILES if (folder / name).is_file()), None)
+    if file is None:
+        return None
+    try:
+        array = _load_truth(file)
+    except Exception as error:  # scipy and numpy raise many kinds for damaged files
+        raise FileError(
+            str(file), expected="an array of true normals", got=str(error), mend="replace or remove the file"
+        ) from error
+    if array.shape != (*size, 3):
+        raise FileError(
+            str(file), expected=f"shape {(*size, 3)}", got=str(array.shape), mend="crop it as the images are"
+        )
+    return torch.from_numpy(np.ascontiguousarray(array, dtype=np.float32)).permute(2, 0, 1)
+
+
+def _load_truth(file: Path) -> npt.NDArray[np.float64]:
+    if file.suffix == ".npy":
+        return np.asarray(np.load(file, allow_pickle=False))
+    from scipy.io import loadmat
+
+    return np.asarray(loadmat(file, variable_names=["Normal_gt"])["Normal_gt"])

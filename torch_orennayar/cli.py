@@ -1,0 +1,220 @@
+"""The command ``orennayar``: demo, render, stereo, export, info. Angles on the command line are degrees."""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from .errors import FileError, RangeError, TorchOrenNayarError
+
+app = typer.Typer(
+    help="Rough surfaces: shading, rendering, photometric stereo, ONNX export. Angles are degrees.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+out = Console(highlight=False, soft_wrap=True)
+err = Console(stderr=True, highlight=False, soft_wrap=True)
+
+Output = Annotated[Path, typer.Option("-o", "--output", help="Folder for the results.")]
+ModelName = Annotated[str, typer.Option(help="Reflectance model; `orennayar info` lists them.")]
+Roughness = Annotated[float, typer.Option(help="Roughness in degrees, 0 to 90.", min=0, max=90)]
+
+
+@app.command()
+def demo(
+    output: Output = Path("out"),
+    size: Annotated[int, typer.Option(help="Height and width of the pictures.", min=32, max=1024)] = 256,
+    seed: Annotated[int, typer.Option(help="Seed of the noise.")] = 0,
+) -> None:
+    """Render a rough object, recover it from the pictures, and write a report."""
+    from .demo import run_demo
+
+    with err.status("rendering and recovering a rough object"):
+        numbers = run_demo(output, size=size, seed=seed)
+    table = Table("solved with", "normal error, mean", "roughness (truth 30)", "albedo error")
+    for name, n in numbers.items():
+        mean = n["normal_error_degrees"]["mean"]
+        table.add_row(
+            name if name != "auto" else f"auto: {n['model']}",
+            f"{mean:.2f} degrees",
+            f"{n['roughness_degrees']:.1f} degrees",
+            f"{n['albedo_error_share']:.1%}",
+        )
+    out.print(table)
+    out.print(f"open {output / 'report.html'}", markup=False)
+
+
+@app.command()
+def render(
+    mesh: Annotated[Path, typer.Argument(help="OBJ, PLY, STL, GLB or OFF; it is centred and scaled to fit.")],
+    output: Output = Path("out"),
+    roughness: Roughness = 30.0,
+    albedo: Annotated[float, typer.Option(help="Albedo, 0 to 1.", min=0, max=1)] = 0.8,
+    light: Annotated[tuple[float, float, float], typer.Option(help="Direction to the light: right, up, to you.")] = (
+        0.3,
+        0.4,
+        0.86,
+    ),
+    model: ModelName = "vcavity",
+    size: Annotated[int, typer.Option(help="Height and width in pixels.", min=1, max=8192)] = 512,
+    fov: Annotated[
+        float | None, typer.Option(help="Vertical field of view in degrees; default orthographic.", min=1, max=170)
+    ] = None,
+) -> None:
+    """Draw a mesh: its normal map, depth, and the surface shaded smooth and rough."""
+    import torch
+    import torch.nn.functional as F
+
+    from .camera import Camera
+    from .mesh import load_mesh, normalise_mesh
+    from .render import render_normals
+    from .results import write_render
+    from .shading import OrenNayar
+
+    layer = OrenNayar(model)
+    direction = torch.tensor(light)
+    if not (bool(direction.isfinite().all()) and bool(direction.norm() > 0)):
+        raise RangeError("--light", expected="a direction", got=str(light), mend="give three numbers, not all zero")
+    vertices, faces = load_mesh(mesh)
+    if fov is None:
+        camera = Camera.orthographic(1.05)
+    else:
+        camera = Camera.perspective(math.radians(fov), eye=(0, 0, 1.05 / math.sin(math.radians(fov) / 2)))
+    seen = render_normals(normalise_mesh(vertices), faces, camera, (size, size))
+    view = camera.view_directions((size, size))
+    unit = F.normalize(direction, dim=0)[None]
+    pictures = {
+        "Lambert": OrenNayar("lambert")(seen.normal, unit, view, albedo=albedo)[0],
+        f"σ = {roughness:g}°": layer(seen.normal, unit, view, albedo=albedo, roughness=math.radians(roughness))[0],
+    }
+    write_render(output, seen, pictures)
+    out.print(f"{len(faces)} faces, {int(seen.mask.sum())} pixels; wrote {output}", markup=False)
+
+
+@app.command()
+def stereo(
+    capture: Annotated[Path, typer.Argument(help="Folder of images with a light file, DiLiGenT folder, or .lp file.")],
+    output: Output = Path("out"),
+    model: Annotated[str, typer.Option(help="auto, or a model that `orennayar info` lists.")] = "auto",
+    lights: Annotated[Path | None, typer.Option(help="Light file kept elsewhere.")] = None,
+    mask: Annotated[Path | None, typer.Option(help="Mask image kept elsewhere; white is the object.")] = None,
+    encoding: Annotated[str, typer.Option(help="auto (8-bit is sRGB), linear or srgb.")] = "auto",
+    least_squares: Annotated[bool, typer.Option("--least-squares", help="Plain Lambertian least squares.")] = False,
+    seed: Annotated[int, typer.Option(help="Picks the pixels that decide model and roughness.")] = 0,
+) -> None:
+    """Photographs under known lights in; normals, albedo, roughness, depth and a mesh out."""
+    from .capture import load_capture
+    from .results import write_reconstruction
+    from .stereo import photometric_stereo
+
+    begun = time.perf_counter()
+    loaded = load_capture(capture, lights=lights, mask=mask, encoding=encoding)
+    ready = time.perf_counter()
+    found = photometric_stereo(
+        loaded.images,
+        loaded.lights,
+        loaded.mask,
+        model="lambert" if least_squares else model,
+        robust=not least_squares,
+        seed=seed,
+    )
+    seconds = time.perf_counter() - ready
+    written = write_reconstruction(output, found, loaded, title=capture.resolve().name, seconds=seconds)
+    for line in written.numbers["report"]:
+        out.print(line, markup=False)
+    error = written.numbers["normal_error_degrees"]
+    if error:
+        out.print(
+            f"normal error: mean {error['mean']:.2f}, median {error['median']:.2f} degrees over "
+            f"{written.numbers['pixels']} pixels",
+            markup=False,
+        )
+    total = time.perf_counter() - begun
+    out.print(
+        f"{total:.1f} s in all: {ready - begun:.1f} s loading, {seconds:.1f} s solving; open {output / 'report.html'}",
+        markup=False,
+    )
+
+
+@app.command()
+def export(
+    path: Annotated[Path, typer.Argument(help="The .onnx file to write.")] = Path("out/shading.onnx"),
+    graph: Annotated[str, typer.Option(help="What to export: shading.")] = "shading",
+    model: ModelName = "vcavity",
+    per_pixel_directions: Annotated[bool, typer.Option("--per-pixel", help="Light and view are maps.")] = False,
+) -> None:
+    """Write an ONNX graph and verify it against torch."""
+    from .export import export_onnx
+
+    with err.status("exporting and verifying"):
+        export_onnx(graph, path, model=model, per_pixel_directions=per_pixel_directions)
+    out.print(f"{path}: {path.stat().st_size / 1000:.0f} kB, equal to torch at five sizes", markup=False)
+
+
+@app.command()
+def info(
+    path: Annotated[Path | None, typer.Argument(help="An .onnx file; default: versions and models.")] = None,
+) -> None:
+    """Versions and models, or what is inside an ONNX file."""
+    if path is not None:
+        _info_graph(path)
+        return
+    from importlib.metadata import version
+
+    from .reflectance import MODELS
+
+    packages = Table("package", "version")
+    for name in (
+        "torch_orennayar",
+        "torch",
+        "kornia",
+        "opencv-contrib-python-headless",
+        "trimesh",
+        "onnxruntime",
+        "onnx",
+    ):
+        packages.add_row(name, version(name))
+    out.print(packages)
+    models = Table("model", "RMS error", "cost", "gradients", "source")
+    for model in MODELS.values():
+        error, cost = (f"{v:.3g}" if v is not None else "" for v in (model.error, model.cost))
+        models.add_row(model.name, error, cost, model.gradients, model.source)
+    out.print(models)
+
+
+def _info_graph(path: Path) -> None:
+    from .export import describe_onnx
+
+    if path.suffix.lower() != ".onnx":
+        raise FileError(str(path), expected="an .onnx file", got=path.suffix or "no suffix", mend="give a graph")
+    for key, value in describe_onnx(path).items():
+        if isinstance(value, dict):
+            out.print(f"{key}:", markup=False)
+            for name, entry in value.items():
+                out.print(f"  {name}: {', '.join(entry) if isinstance(entry, list) else entry}", markup=False)
+        else:
+            out.print(f"{key}: {value}", markup=False)
+
+
+def main() -> None:
+    """Run the command; a user's mistake is one line on stderr and exit status 1."""
+    try:
+        app()
+    except TorchOrenNayarError as error:
+        err.print(f"error: {' '.join(str(error).split())}", markup=False)
+        sys.exit(1)
+    except KeyboardInterrupt:
+        err.print("interrupted; nothing half-written stays", markup=False)
+        sys.exit(130)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,104 @@
+"""Pictures for people: normal maps, maps with a colour bar, contact sheets, charts."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from .images import encode_normals, linear_to_srgb
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+PathLike = str | os.PathLike[str]
+
+
+def show_normals(normal: Tensor, mask: Tensor) -> Tensor:
+    """Normals as (3, H, W) colours on white, for looking at."""
+    return torch.where(mask, encode_normals(normal, mask), 1.0)
+
+
+def show_light(image: Tensor, mask: Tensor) -> Tensor:
+    """Linear light (1|3, H, W) as (3, H, W) sRGB colours on white, cut at 1."""
+    return torch.where(mask, linear_to_srgb(image.expand(3, -1, -1)), 1.0)
+
+
+def save_sheet(
+    path: PathLike, rows: Sequence[Mapping[str, Tensor]], *, labels: Sequence[str] = (), title: str = ""
+) -> Path:
+    """A contact sheet: one row per mapping from caption to (3, H, W) colours; ``labels`` name the rows."""
+    columns = max(len(row) for row in rows)
+    figure, axes = _grid(len(rows), columns)
+    for row, line in zip(rows, axes, strict=True):
+        for axis in line:
+            axis.axis("off")
+        for axis, (caption, picture) in zip(line, row.items(), strict=False):
+            axis.imshow(picture.permute(1, 2, 0).cpu().numpy().clip(0, 1))
+            axis.set_title(caption, fontsize=9)
+    for label, line in zip(labels, axes, strict=False):
+        line[0].text(-0.06, 0.5, label, transform=line[0].transAxes, rotation=90, va="center", ha="right", fontsize=9)
+    if title:
+        figure.suptitle(title, fontsize=11)
+    return _save(figure, path)
+
+
+def save_maps(
+    path: PathLike,
+    maps: Mapping[str, Tensor],
+    mask: Tensor,
+    *,
+    unit: str,
+    top: float | None = None,
+    palette: str = "inferno",
+) -> Path:
+    """Maps (1, H, W) side by side under one colour bar that begins at 0; outside ``mask`` is white.
+
+    ``top`` is the bar's upper end; default: the largest 99th percentile.
+    """
+    inside = mask[0].cpu().numpy()
+    arrays = {caption: np.where(inside, m[0].detach().cpu().numpy(), np.nan) for caption, m in maps.items()}
+    highest = top or max(float(np.nanpercentile(a, 99)) for a in arrays.values()) or 1.0
+    figure, axes = _grid(1, len(arrays))
+    for axis, (caption, array) in zip(axes[0], arrays.items(), strict=True):
+        picture = axis.imshow(array, vmin=0, vmax=highest, cmap=palette)
+        axis.set_title(caption, fontsize=9)
+        axis.axis("off")
+    figure.colorbar(picture, ax=list(axes[0]), label=unit, shrink=0.85, extend="max")
+    return _save(figure, path)
+
+
+def save_bars(path: PathLike, values: Mapping[str, float], *, unit: str, highlight: str = "") -> Path:
+    """Horizontal bars with their numbers; lower is better, ``highlight`` is drawn in colour."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(6, 0.6 + 0.45 * len(values)), layout="constrained")
+    axis = figure.subplots()
+    names = list(values)[::-1]
+    bars = axis.barh(
+        names, [values[n] for n in names], color=["#c2571a" if n == highlight else "#8a93a6" for n in names]
+    )
+    axis.bar_label(bars, [f" {values[n]:.3g}" for n in names], fontsize=9)
+    axis.margins(x=0.15)
+    axis.set_xlabel(f"{unit} (lower is better)", fontsize=9)
+    axis.spines[["top", "right"]].set_visible(False)
+    return _save(figure, path)
+
+
+def _grid(rows: int, columns: int) -> tuple[Figure, Sequence[Sequence[Axes]]]:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(2.1 * columns + 0.4, 2.3 * rows + 0.2), layout="constrained")
+    axes: Any = figure.subplots(rows, columns, squeeze=False)
+    return figure, axes
+
+
+def _save(figure: Figure, path: PathLike) -> Path:
+    figure.savefig(path, dpi=130)
+    return Path(path)

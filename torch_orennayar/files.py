@@ -1,0 +1,59 @@
+"""Outputs appear whole or not at all: written under a temporary name, then renamed."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from .errors import FileError
+
+
+@contextmanager
+def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """A temporary file beside ``path`` to write to; renamed to ``path`` if the block succeeds, else removed."""
+    target = Path(path)
+    with atomic_directory(target.parent) as folder:
+        yield folder / target.name
+
+
+@contextmanager
+def atomic_directory(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """A temporary folder beside ``path``; its files move into ``path`` if the block succeeds, else vanish.
+
+    Files that ``path`` already holds under other names stay.
+
+    Raises:
+        FileError: ``path`` is a file, or the place cannot be written.
+    """
+    target = Path(path)
+    if target.exists() and not target.is_dir():
+        raise FileError(str(target), expected="a folder", got="a file", mend="choose another output folder")
+    parent = target.absolute().parent
+    try:
+        parent.mkdir(parents=True, exist_ok=True)
+        temporary = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=parent))
+    except OSError as error:
+        raise FileError(
+            str(target), expected="a writable place", got=str(error), mend="choose another output folder"
+        ) from error
+    try:
+        yield temporary
+        for source in sorted(temporary.rglob("*")):
+            goal = target / source.relative_to(temporary)
+            if source.is_dir():
+                goal.mkdir(parents=True, exist_ok=True)
+            else:
+                goal.parent.mkdir(parents=True, exist_ok=True)
+                source.replace(goal)
+    except OSError as error:
+        if isinstance(error, FileError):
+            raise
+        raise FileError(
+            str(target), expected="files that can be written", got=str(error), mend="check space and permissions"
+        ) from error
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)

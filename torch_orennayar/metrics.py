@@ -1,0 +1,81 @@
+"""How far normals are from each other."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from .errors import ShapeError
+
+
+class AngularError(torch.Tensor):
+    """A map of angles in degrees, NaN outside the foreground, that can sum itself up.
+
+    It is a tensor like any other; `summary` looks at the foreground only.
+
+    Example:
+        >>> import torch, torch_orennayar as ton
+        >>> n = torch.tensor([0.0, 0.0, 1.0]).reshape(3, 1, 1)
+        >>> ton.angular_error(n, n).summary()["mean"]
+        0.0
+    """
+
+    def summary(self) -> dict[str, float]:
+        """Mean, median and 90th percentile in degrees, share of the foreground within 5, 10 and 20 degrees."""
+        values = self.as_subclass(torch.Tensor).double()
+        values = values[values.isfinite()]
+        if values.numel() == 0:
+            return dict.fromkeys(("mean", "median", "p90", "within_5", "within_10", "within_20"), float("nan"))
+        ordered = values.sort().values
+        result = {
+            "mean": values.mean().item(),
+            "median": ordered[len(ordered) // 2].item(),
+            "p90": ordered[int(0.9 * (len(ordered) - 1))].item(),
+        }
+        return result | {f"within_{d}": (values <= d).double().mean().item() for d in (5, 10, 20)}
+
+
+@torch.no_grad()
+def angular_error(a: Tensor, b: Tensor, mask: Tensor | None = None, *, dim: int = -3) -> AngularError:
+    """Angle between two sets of directions, in degrees.
+
+    Accurate for small angles (``atan2`` of cross and dot product). A measure, not a loss: no gradients.
+
+    Args:
+        a: directions of any length, 3 along ``dim``: (3, H, W) or (B, 3, H, W).
+        b: the same shape, or one that broadcasts.
+        mask: foreground, bool, 1 along ``dim``; default everywhere. A zero vector or NaN in either set is
+            never foreground, unless a mask says so: then it counts as 180 degrees, for nothing was found.
+        dim: the axis of x, y, z.
+
+    Returns:
+        An `AngularError`: a tensor of degrees with 1 along ``dim``, NaN outside the foreground.
+
+    Raises:
+        ShapeError: 3 is not found along ``dim``, or shapes do not broadcast.
+
+    Example:
+        >>> import torch, torch_orennayar as ton
+        >>> up, right = torch.tensor([0.0, 0.0, 1.0]), torch.tensor([1.0, 0.0, 0.0])
+        >>> ton.angular_error(up, right, dim=-1).item()
+        90.0
+    """
+    for name, value in (("a", a), ("b", b)):
+        if not -value.ndim <= dim < value.ndim or value.shape[dim] != 3:
+            raise ShapeError(name, expected=f"3 along axis {dim}", got=str(tuple(value.shape)), mend="pass dim=")
+    try:
+        first, second = torch.broadcast_tensors(a, b)
+        cross = torch.linalg.cross(first, second, dim=dim).norm(dim=dim, keepdim=True)
+        angle = torch.rad2deg(torch.atan2(cross, (first * second).sum(dim, keepdim=True)))
+        missing = ~((first.abs().sum(dim, keepdim=True) > 0) & (second.abs().sum(dim, keepdim=True) > 0))
+        if mask is None:
+            return angle.masked_fill(missing, torch.nan).as_subclass(AngularError)
+        angle = angle.masked_fill(missing, 180.0)
+        return torch.where(mask, angle, torch.nan).as_subclass(AngularError)
+    except RuntimeError as error:
+        raise ShapeError(
+            "a, b, mask",
+            expected="shapes that broadcast",
+            got=", ".join(str(tuple(t.shape)) for t in (a, b, mask) if t is not None),
+            mend="give them one size",
+        ) from error

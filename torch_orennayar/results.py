@@ -1,0 +1,180 @@
+"""Write reconstructions and renderings as folders of files that people and programs open."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from .capture import Capture
+from .figures import save_bars, save_maps, save_sheet, show_light, show_normals
+from .files import atomic_directory
+from .images import encode_normals, linear_to_srgb, write_image
+from .integrate import integrate_normals
+from .mesh import depth_to_mesh, save_mesh
+from .metrics import angular_error
+from .render import NormalMap
+from .report import Section, write_report
+from .stereo import Reconstruction
+
+
+@dataclass(frozen=True)
+class Written:
+    """What `write_reconstruction` wrote: the folder and the numbers in its ``result.json``."""
+
+    folder: Path
+    numbers: dict[str, Any]
+
+
+def write_reconstruction(
+    folder: str | os.PathLike[str], found: Reconstruction, capture: Capture, *, title: str, seconds: float | None = None
+) -> Written:
+    """Write every result of one capture; the folder's files appear together or not at all.
+
+    ``normal.png`` (16-bit, green up) and ``normal.npy``; ``albedo.png`` (sRGB, stretched) and
+    ``albedo.npy`` (linear); ``roughness``, ``residual``, ``confidence`` and, where truth is known,
+    ``error`` as ``.png`` and ``.npy``; ``depth.npy`` (pixels toward the viewer); ``mesh.ply``;
+    ``result.json``; ``report.html``.
+
+    Args:
+        folder: made if need be; files of other names in it stay.
+        found: an unbatched result for ``capture``.
+        capture: what was loaded.
+        title: heading of the report.
+        seconds: time spent on solving, for the report.
+
+    Returns:
+        The folder and the numbers.
+
+    Raises:
+        FileError: the place cannot be written.
+    """
+    mask = capture.mask.cpu()
+    arrays = {name: getattr(found, name).cpu() for name in ("normal", "albedo", "roughness", "residual", "confidence")}
+    arrays["depth"] = integrate_normals(arrays["normal"], mask)
+    error = None
+    if capture.normal is not None:
+        error = angular_error(arrays["normal"], capture.normal, mask)
+        arrays["error"] = error.as_subclass(torch.Tensor)
+    numbers: dict[str, Any] = {
+        "title": title,
+        "images": len(capture.images),
+        "pixels": int(mask.sum()),
+        "model": found.model,
+        "scores": found.scores,
+        "roughness_degrees": math.degrees(arrays["roughness"].max().item()),
+        "normal_error_degrees": None if error is None else error.summary(),
+        "seconds": seconds,
+        "report": [*capture.notes, *found.report],
+    }
+    with atomic_directory(folder) as temporary:
+        for name, array in arrays.items():
+            np.save(temporary / f"{name}.npy", array.numpy())
+        write_image(temporary / "normal.png", encode_normals(arrays["normal"], mask), bits=16)
+        stretched, top = _stretch(arrays["albedo"], mask)
+        write_image(temporary / "albedo.png", linear_to_srgb(stretched) * mask)
+        _draw_maps(temporary, arrays, mask)
+        _write_mesh(temporary / "mesh.ply", arrays["depth"], stretched, mask)
+        (temporary / "result.json").write_text(json.dumps(numbers, indent=2) + "\n")
+        _write_page(temporary, title, numbers, arrays, stretched, top, mask)
+    return Written(Path(folder), numbers)
+
+
+def write_render(folder: str | os.PathLike[str], seen: NormalMap, pictures: Mapping[str, Tensor]) -> None:
+    """Write one rendered view: normals, depth, mask, the last picture by itself, and all on a sheet.
+
+    ``normal.png`` (16-bit, green up), ``normal.npy``, ``depth.npy`` (infinite outside the mask),
+    ``mask.png``, ``shaded.png`` (sRGB), ``sheet.png``; together or not at all.
+
+    Args:
+        folder: made if need be; files of other names in it stay.
+        seen: a `NormalMap` of one view.
+        pictures: caption to linear light (1|3, H, W).
+
+    Raises:
+        FileError: the place cannot be written.
+    """
+    normal, mask = seen.normal[0].detach().cpu(), seen.mask[0].cpu()
+    sheet = {"normal": show_normals(normal, mask)} | {name: show_light(p, mask) for name, p in pictures.items()}
+    with atomic_directory(folder) as temporary:
+        write_image(temporary / "normal.png", encode_normals(normal, mask), bits=16)
+        np.save(temporary / "normal.npy", normal.numpy())
+        np.save(temporary / "depth.npy", seen.depth[0].detach().cpu().numpy())
+        write_image(temporary / "mask.png", mask.float())
+        write_image(temporary / "shaded.png", linear_to_srgb(list(pictures.values())[-1]))
+        save_sheet(temporary / "sheet.png", [sheet])
+
+
+def _stretch(albedo: Tensor, mask: Tensor) -> tuple[Tensor, float]:
+    """Albedo over its 99th percentile, for looking at: the exposure of a capture is seldom known."""
+    values = albedo[:, mask[0]].amax(0)
+    top = max(values.double().quantile(0.99).item() if values.numel() < 10_000_000 else values.max().item(), 1e-12)
+    return (albedo / top).clamp(0, 1), top
+
+
+def _draw_maps(folder: Path, arrays: dict[str, Tensor], mask: Tensor) -> None:
+    save_maps(folder / "roughness.png", {"roughness": arrays["roughness"].rad2deg()}, mask, unit="degrees", top=60)
+    save_maps(folder / "residual.png", {"residual": arrays["residual"]}, mask, unit="image units")
+    save_maps(
+        folder / "confidence.png", {"confidence": arrays["confidence"]}, mask, unit="share", top=1, palette="viridis"
+    )
+    if "error" in arrays:
+        save_maps(folder / "error.png", {"angular error": arrays["error"]}, mask, unit="degrees", top=20)
+
+
+def _write_mesh(path: Path, depth: Tensor, albedo: Tensor, mask: Tensor) -> None:
+    vertices, faces, pixels = depth_to_mesh(depth, mask)
+    colours = linear_to_srgb(albedo).expand(3, -1, -1).flatten(1)[:, pixels].T
+    save_mesh(path, vertices, faces, colours)
+
+
+def _write_page(
+    folder: Path,
+    title: str,
+    numbers: dict[str, Any],
+    arrays: dict[str, Tensor],
+    albedo: Tensor,
+    albedo_top: float,
+    mask: Tensor,
+) -> None:
+    overview = {"normal": show_normals(arrays["normal"], mask), "albedo": show_light(albedo, mask)}
+    save_sheet(folder / "overview.png", [overview])
+    rows = [
+        ("model", str(numbers["model"])),
+        ("roughness", f"{numbers['roughness_degrees']:.1f} degrees"),
+        ("images", str(numbers["images"])),
+        ("pixels", str(numbers["pixels"])),
+    ]
+    if numbers["seconds"] is not None:
+        rows.append(("seconds to solve", f"{numbers['seconds']:.1f}"))
+    error = numbers["normal_error_degrees"]
+    if error:
+        rows.append(("normal error, mean / median", f"{error['mean']:.2f} / {error['median']:.2f} degrees"))
+    sections = [
+        Section(
+            "Result",
+            (*numbers["report"], f"Albedo is drawn over its 99th percentile, {albedo_top:.3g}."),
+            ("what", "value"),
+            rows,
+            (folder / "overview.png",),
+        )
+    ]
+    if numbers["scores"]:
+        save_bars(
+            folder / "scores.png", numbers["scores"], unit="held-out error, share of mean", highlight=numbers["model"]
+        )
+        text = ("Each candidate was fitted on three lights of four; the bars show its error on the others.",)
+        sections.append(Section("Why this model", text, pictures=(folder / "scores.png",)))
+    maps = [folder / f"{name}.png" for name in ("residual", "confidence", "roughness")]
+    if "error" in arrays:
+        sections.append(Section("Error against the true normals", pictures=(folder / "error.png",)))
+    sections.append(Section("Maps", pictures=maps))
+    write_report(folder / "report.html", title, sections)

@@ -1,0 +1,375 @@
+"""Shading with a diffuse reflectance model: functions, the layer, and near lights.
+
+Shading is ``pi f_r max(0, n.l)`` times the irradiance: radiance under a source whose irradiance on a
+plane facing it is pi, so a white Lambertian surface that faces the light is 1. All of it is linear light.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor, nn
+
+from ._checks import check_axis, check_broadcast, check_range, check_unit
+from .errors import ShapeError
+from .reflectance import get_model
+
+MAX_ROUGHNESS = math.pi / 2 + 1e-6
+
+
+def oren_nayar(
+    normal: Tensor,
+    light: Tensor,
+    view: Tensor,
+    albedo: Tensor | float,
+    roughness: Tensor | float,
+    *,
+    model: str = "qualitative",
+    irradiance: Tensor | float | None = None,
+    dim: int = 1,
+) -> Tensor:
+    """Shade rough surfaces: ``pi f_r max(0, n.l)`` times the irradiance, in linear light.
+
+    Everything broadcasts. Differentiable in all tensors; where a pixel faces away from light or view
+    (``n.l <= 0`` or ``n.v <= 0``), or its normal is zero or not finite, value and gradients are exactly
+    0. Kinks are listed per model in ``MODELS``. Half precision is computed in float32.
+
+    Args:
+        normal: unit normals, 3 along ``dim``, e.g. (B, 3, H, W).
+        light: unit directions from the surface to the light, 3 along ``dim``, e.g. (B, 3, 1, 1).
+        view: unit directions from the surface to the camera, 3 along ``dim``.
+        albedo: facet albedo, >= 0 (in [0, 1] for a surface that creates no light), 1 or C along ``dim``.
+        roughness: standard deviation of the facet slope angle in radians, in [0, pi/2], 1 along ``dim``.
+        model: a name in ``MODELS``.
+        irradiance: scale of the light, 1 or C along ``dim``; 1 is the source of the default unit.
+        dim: the axis of x, y, z in the broadcast shape.
+
+    Returns:
+        Shading, C along ``dim``, in the promoted dtype of the inputs.
+
+    Raises:
+        ShapeError: an argument lacks its 3 (or 1) along ``dim``, or shapes do not broadcast.
+        RangeError: negative or NaN albedo or roughness, roughness above pi/2 (degrees given for
+            radians?), or directions given by hand that are no unit vectors. Not checked inside
+            ``torch.compile``, export and ``vmap``.
+        ModelError: unknown ``model``.
+
+    Source:
+        Oren & Nayar, "Generalization of Lambert's reflectance model", SIGGRAPH 1994; each model's own
+        source is in ``MODELS``.
+
+    Example:
+        >>> import torch, torch_orennayar as ton
+        >>> up = torch.tensor([0.0, 0.0, 1.0]).reshape(1, 3, 1, 1)
+        >>> ton.oren_nayar(up, up, up, 1.0, 0.0).item()
+        1.0
+        >>> round(ton.oren_nayar(up, up, up, 1.0, 0.5).item(), 4)
+        0.7845
+    """
+    value, ci = _evaluate(normal, light, view, albedo, roughness, model, dim)
+    shading = value * ci
+    if irradiance is not None:
+        check_range("irradiance", irradiance, 0.0, math.inf, "irradiance is never negative")
+        check_broadcast(_axis_from_end(dim, normal, light, view), shading=shading, irradiance=irradiance)
+        shading = shading * irradiance
+    return shading.to(_result_dtype(normal, light, view, albedo, roughness, irradiance))
+
+
+def brdf(
+    normal: Tensor,
+    light: Tensor,
+    view: Tensor,
+    albedo: Tensor | float,
+    roughness: Tensor | float,
+    *,
+    model: str = "qualitative",
+    dim: int = 1,
+) -> Tensor:
+    """The reflectance f_r in 1/sr, without the cosine of the light.
+
+    Arguments, broadcasting, gradients and errors are those of `oren_nayar`; f_r is 0 where the surface
+    faces away from light or view.
+
+    Returns:
+        f_r, C along ``dim``.
+
+    Example:
+        >>> import math, torch, torch_orennayar as ton
+        >>> up = torch.tensor([[0.0, 0.0, 1.0]])
+        >>> math.isclose(ton.brdf(up, up, up, 0.5, 0.0, model="lambert").item(), 0.5 / math.pi, rel_tol=1e-6)
+        True
+    """
+    value, _ = _evaluate(normal, light, view, albedo, roughness, model, dim)
+    return (value / math.pi).to(_result_dtype(normal, light, view, albedo, roughness))
+
+
+def directional_albedo(
+    cos_view: Tensor, albedo: Tensor | float, roughness: Tensor | float, *, model: str = "qualitative"
+) -> Tensor:
+    """Share of light from one direction that leaves the surface again: the integral of ``f_r n.l``.
+
+    A product rule of 48 x 48 Gauss-Legendre nodes, within 1e-3 for every model; by reciprocity the same
+    for light and view. Differentiable in all arguments.
+
+    Args:
+        cos_view: cosines in (0, 1], any shape.
+        albedo: >= 0, broadcasts with ``cos_view``.
+        roughness: radians in [0, pi/2], broadcasts with ``cos_view``.
+        model: a name in ``MODELS``.
+
+    Returns:
+        The hemispherical integral, of the broadcast shape.
+
+    Raises:
+        RangeError: a cosine outside (0, 1], or albedo or roughness out of range.
+
+    Example:
+        >>> import torch, torch_orennayar as ton
+        >>> round(ton.directional_albedo(torch.tensor(0.5), 0.8, 0.0, model="lambert").item(), 5)
+        0.8
+    """
+    check_range("cos_view", cos_view, 1e-6, 1 + 1e-6, "it is the cosine between normal and view")
+    function = get_model(model).function
+    albedo_tensor, sigma = _parameters(albedo, roughness, cos_view)
+    node, weight = _gauss_legendre(cos_view)
+    ci = node[:, None]  # (48, 1)
+    cos_phi = (torch.pi * node)[None, :].cos()  # (1, 48), half of the circle
+    co = cos_view[..., None, None]
+    lv = ci * co + ((1 - ci * ci) * (1 - co * co)).clamp_min(0).sqrt() * cos_phi
+    value = function(ci, co, lv, albedo_tensor[..., None, None], sigma[..., None, None])
+    return (value * ci * 2 * weight[:, None] * weight[None, :]).sum((-2, -1))
+
+
+def _gauss_legendre(like: Tensor) -> tuple[Tensor, Tensor]:
+    """Nodes and weights on [0, 1]."""
+    import numpy as np
+
+    node, weight = np.polynomial.legendre.leggauss(48)
+    return like.new_tensor((node + 1) / 2), like.new_tensor(weight / 2)
+
+
+def point_light(points: Tensor, position: Tensor, intensity: Tensor | float, *, dim: int = 1) -> tuple[Tensor, Tensor]:
+    """Direction and irradiance of a near source at every point: inverse-square law.
+
+    Differentiable in all arguments; at the source itself (zero distance) both results and their
+    gradients are 0.
+
+    Args:
+        points: surface points in the camera frame, 3 along ``dim``, e.g. (B, 3, H, W).
+        position: the source, 3 along ``dim``, e.g. (B, 3, 1, 1).
+        intensity: irradiance at unit distance, >= 0, in the unit of ``irradiance=``; 1 or C along ``dim``.
+        dim: the axis of x, y, z in the broadcast shape.
+
+    Returns:
+        ``(light, irradiance)`` for `oren_nayar`: unit directions to the source, 3 along ``dim``, and
+        irradiance on a plane facing the source, 1 or C along ``dim``.
+
+    Raises:
+        ShapeError: 3 is not found along ``dim``.
+        RangeError: negative intensity.
+
+    Example:
+        >>> import torch, torch_orennayar as ton
+        >>> points = torch.zeros(1, 3, 1, 1)
+        >>> light, irradiance = ton.point_light(points, torch.tensor([0.0, 0.0, 2.0]).reshape(1, 3, 1, 1), 1.0)
+        >>> light.flatten().tolist(), irradiance.item()
+        ([0.0, 0.0, 1.0], 0.25)
+    """
+    axis = _axis_from_end(dim, points, position)
+    check_axis("points", points, axis, (3,))
+    check_axis("position", position, axis, (3,))
+    check_range("intensity", intensity, 0.0, math.inf, "intensity is never negative")
+    offset = position - points
+    square = (offset * offset).sum(axis, keepdim=True)
+    there = square > 0
+    inverse = torch.where(there, square, 1).rsqrt() * there
+    return offset * inverse, intensity * (inverse * inverse)
+
+
+class OrenNayar(nn.Module):
+    """`oren_nayar` as a layer, with an axis for several lights.
+
+    Args:
+        model: a name in ``MODELS``.
+        dim: the axis of x, y, z in the normals.
+
+    Raises:
+        ModelError: unknown ``model``.
+
+    Example:
+        >>> import torch, torch_orennayar as ton
+        >>> normal = torch.tensor([0.0, 0.0, 1.0]).reshape(1, 3, 1, 1).expand(2, 3, 4, 5)
+        >>> lights = torch.tensor([0.0, 0.6, 0.8]).expand(2, 7, 3)
+        >>> ton.OrenNayar("vcavity")(normal, lights, albedo=0.5, roughness=0.3).shape
+        torch.Size([2, 7, 1, 4, 5])
+    """
+
+    def __init__(self, model: str = "qualitative", dim: int = 1) -> None:
+        super().__init__()
+        self.model = get_model(model).name
+        self.dim = dim
+
+    def extra_repr(self) -> str:
+        """What ``print(layer)`` shows."""
+        return f"model={self.model!r}, dim={self.dim}"
+
+    def forward(
+        self,
+        normal: Tensor,
+        light: Tensor,
+        view: Tensor | None = None,
+        albedo: Tensor | float | None = None,
+        roughness: Tensor | float | None = None,
+        irradiance: Tensor | float | None = None,
+    ) -> Tensor:
+        """Shade ``normal``.
+
+        Args:
+            normal: (B, 3, H, W), or any shape with 3 along ``dim``.
+            light: (B, 3) or (3,) one per image, (B, K, 3) several per image, (B, 3, H, W) per pixel,
+                (B, K, 3, H, W) several per pixel; unit, from the surface to the light.
+            view: as one light; default (0, 0, 1), orthographic.
+            albedo: number, (B, C), or 1 or C along ``dim``; default 1.
+            roughness: radians: number, (B, 1), or 1 along ``dim``; default 0.
+            irradiance: number, or 1 or C channels laid out as the lights are: (B, C), (B, K, C),
+                (B, C, H, W), (B, K, C, H, W); default 1.
+
+        Returns:
+            (B, C, H, W), or (B, K, C, H, W) for several lights (sum over dim 1 for all of them on).
+            Gradients as in `oren_nayar`.
+
+        Raises:
+            ShapeError, RangeError: as `oren_nayar`.
+        """
+        axis = self.dim if self.dim >= 0 else normal.ndim + self.dim
+        if not 0 <= axis < normal.ndim or normal.shape[axis] != 3:
+            raise ShapeError(
+                "normal",
+                expected=f"3 along axis {self.dim}",
+                got=f"shape {tuple(normal.shape)}",
+                mend="construct OrenNayar(dim=...) with the axis that holds x, y, z",
+            )
+        several = light.ndim == normal.ndim + 1 or (light.ndim == 3 and normal.ndim >= 4)
+        if several and axis == 0:
+            raise ShapeError(
+                "normal",
+                expected="a batch axis before x, y, z where there are several lights",
+                got=f"shape {tuple(normal.shape)} with dim=0",
+                mend="use normal.unsqueeze(0)",
+            )
+        if view is None:
+            view = normal.new_tensor((0.0, 0.0, 1.0))
+
+        def lay(name: str, value: Tensor) -> Tensor:
+            return _lay_out(name, value, normal.ndim, axis, several)
+
+        def lay_number(name: str, value: Tensor | float) -> Tensor | float:
+            return lay(name, value) if isinstance(value, Tensor) else value
+
+        return oren_nayar(
+            lay("normal", normal),
+            lay("light", light),
+            lay("view", view),
+            lay_number("albedo", 1.0 if albedo is None else albedo),
+            lay_number("roughness", 0.0 if roughness is None else roughness),
+            model=self.model,
+            irradiance=None if irradiance is None else lay_number("irradiance", irradiance),
+            dim=axis + int(several),
+        )
+
+
+def _lay_out(name: str, value: Tensor, ndim: int, axis: int, several: bool) -> Tensor:
+    """Bring (C,), (B, C), (B, K, C) or a map to the layout of the normals, with a light axis at 1 if ``several``."""
+    after = (1,) * (ndim - axis - 1)
+    between = (1,) * max(axis - 1, 0)
+    lights = (1,) if several else ()
+    shape = tuple(value.shape)
+    if value.ndim == 0 or (value.ndim == ndim + 1 and several):
+        return value
+    if value.ndim == ndim:
+        return value.unsqueeze(1) if several else value
+    if value.ndim == 1:
+        return value.reshape(*shape, *after)
+    if value.ndim == 2 and axis > 0:
+        return value.reshape(shape[0], *lights, *between, shape[1], *after)
+    if value.ndim == 3 and several:
+        return value.reshape(shape[0], shape[1], *between, shape[2], *after)
+    raise ShapeError(
+        name,
+        expected=f"(C,), (B, C), a map of {ndim} axes" + (", (B, K, C) or a map per light" if several else ""),
+        got=f"shape {shape}",
+        mend="give it the layout of the normals, or one value per image",
+    )
+
+
+def _axis_from_end(dim: int, *tensors: Tensor) -> int:
+    """``dim`` of the broadcast shape, counted from its end, where it means the same for every tensor."""
+    ndim = max(t.ndim for t in tensors)
+    if not -ndim <= dim < ndim:
+        raise ShapeError("dim", expected=f"an axis of {ndim}-axis tensors", got=str(dim), mend="see the shapes")
+    return dim if dim < 0 else dim - ndim
+
+
+def _result_dtype(*values: Tensor | float | None) -> torch.dtype:
+    tensors = [v for v in values if isinstance(v, Tensor)]
+    dtype = tensors[0].dtype
+    for tensor in tensors[1:]:
+        dtype = torch.promote_types(dtype, tensor.dtype)
+    return dtype
+
+
+def _working(tensor: Tensor, dtype: torch.dtype) -> Tensor:
+    return tensor if tensor.dtype == dtype else tensor.to(dtype)
+
+
+def _parameters(albedo: Tensor | float, roughness: Tensor | float, like: Tensor) -> tuple[Tensor, Tensor]:
+    """Albedo and roughness checked and as tensors beside ``like``."""
+    check_range("albedo", albedo, 0.0, math.inf, "clamp it, or learn it through softplus or sigmoid")
+    check_range(
+        "roughness",
+        roughness,
+        0.0,
+        MAX_ROUGHNESS,
+        "it is in radians (use math.radians for degrees); a learned one may be clamped or go through sigmoid",
+    )
+    rho = albedo if isinstance(albedo, Tensor) else like.new_tensor(albedo)
+    sigma = roughness if isinstance(roughness, Tensor) else like.new_tensor(roughness)
+    return rho, sigma
+
+
+def _evaluate(
+    normal: Tensor,
+    light: Tensor,
+    view: Tensor,
+    albedo: Tensor | float,
+    roughness: Tensor | float,
+    model: str,
+    dim: int,
+) -> tuple[Tensor, Tensor]:
+    """``pi f_r`` and ``n.l``, both exactly 0, gradients too, where the surface faces away."""
+    function = get_model(model).function
+    tensors = [t for t in (normal, light, view, albedo, roughness) if isinstance(t, Tensor)]
+    axis = _axis_from_end(dim, *tensors)
+    for name, vectors in (("normal", normal), ("light", light), ("view", view)):
+        check_axis(name, vectors, axis, (3,))
+    for name, vectors in (("light", light), ("view", view)):
+        check_unit(name, vectors, axis)
+    if isinstance(roughness, Tensor) and roughness.ndim > 0:
+        check_axis("roughness", roughness, axis, (1,))
+    if isinstance(albedo, Tensor) and albedo.ndim > 0 and albedo.ndim < -axis:
+        check_axis("albedo", albedo, axis, (albedo.shape[-1],))
+    check_broadcast(axis, normal=normal, light=light, view=view, albedo=albedo, roughness=roughness)
+    dtype = _result_dtype(*tensors)
+    dtype = torch.float32 if dtype in (torch.float16, torch.bfloat16) else dtype
+    n, l, v = (_working(t, dtype).nan_to_num(0.0, 0.0, 0.0) for t in (normal, light, view))  # noqa: E741
+    rho, sigma = (_working(t, dtype) for t in _parameters(albedo, roughness, n))
+    ci = (n * l).sum(axis, keepdim=True)
+    co = (n * v).sum(axis, keepdim=True)
+    lv = (l * v).sum(axis, keepdim=True)
+    facing = (ci > 0) & (co > 0)
+    # The floor keeps 1 / max(ci, co)**2 inside the format; it is far below any cosine that shows.
+    floor = torch.finfo(dtype).tiny ** 0.25
+    ci = torch.where(facing, ci, 1.0)
+    value = function(ci.clamp_min(floor), torch.where(facing, co, 1.0).clamp_min(floor), lv, rho, sigma)
+    return torch.where(facing, value, 0.0), ci
