@@ -299,11 +299,12 @@ def _look_at(
     place, goal, upward = (torch.as_tensor(v).to(focal).reshape(-1, 3) for v in (eye, target, up))
     back = place - goal
     right = torch.linalg.cross(*torch.broadcast_tensors(upward, back))
-    if bool((right.norm(dim=1) <= 1e-6 * back.norm(dim=1) * upward.norm(dim=1)).any()):
+    degenerate = right.norm(dim=1) <= 1e-6 * back.norm(dim=1) * upward.norm(dim=1)
+    if bool(degenerate.any()):
         raise RangeError(
             "eye, target, up",
             expected="an eye apart from the target, and an up that is not the view's direction",
-            got=f"eye {place[0].tolist()}, target {goal[0].tolist()}, up {upward[0].tolist()}",
+            got=f"such a view at index {degenerate.nonzero()[0].item()} of the batch",
             mend="move the eye or choose another up",
         )
     back, right = F.normalize(back, dim=1), F.normalize(right, dim=1)

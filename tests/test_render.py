@@ -1,0 +1,239 @@
+from __future__ import annotations
+
+import math
+
+import oracles
+import pytest
+import torch
+import trimesh
+from hypothesis import given
+from hypothesis import strategies as st
+from torch import Tensor
+from torch.autograd import gradcheck
+
+from torch_orennayar import Camera, RangeError, ShapeError, angular_error, load_mesh, render_normals
+from torch_orennayar.mesh import normalise_mesh
+
+coordinate = st.floats(-1.5, 1.5, width=32)
+corner = st.tuples(coordinate, coordinate, st.floats(-3, 3, width=32))
+triangles = st.lists(st.tuples(corner, corner, corner), min_size=1, max_size=5)
+
+
+def sphere(subdivisions: int) -> tuple[Tensor, Tensor]:
+    ball = trimesh.creation.icosphere(subdivisions)
+    return torch.tensor(ball.vertices, dtype=torch.float32), torch.tensor(ball.faces)
+
+
+def rays_of(camera: Camera, size: tuple[int, int]) -> tuple[Tensor, Tensor]:
+    """Origin and direction (z = -1) of every pixel's line of sight, camera frame."""
+    base = camera.rays(size)[0].flatten(1).T.double()
+    if camera.is_perspective:
+        return torch.zeros_like(base), base
+    return base, torch.tensor([0.0, 0, -1]).double().expand_as(base)
+
+
+@pytest.mark.parametrize("perspective", [False, True])
+@given(soup=triangles)
+def test_any_triangles_against_ray_casting(perspective: bool, soup: list[object]) -> None:
+    """Crossing, behind the camera, edge-on, tiny, huge: every pixel shows the face that a ray meets first."""
+    vertices = torch.tensor(soup, dtype=torch.float32).reshape(-1, 3)
+    faces = torch.arange(len(vertices)).reshape(-1, 3)
+    size = (9, 12)
+    camera = Camera.perspective(1.5, (0.05, 0.03, 1.0)) if perspective else Camera.orthographic(1.0)
+    seen = render_normals(vertices, faces, camera, size)
+    moved = camera.to_camera_frame(vertices.double())[0]
+    near = camera.near if perspective else -math.inf
+    face, depth, unsure = oracles.cast_rays(*rays_of(camera, size), moved, faces, near)
+    sure = ~unsure
+    assert torch.equal(seen.face.flatten()[sure], face[sure])
+    hit = sure & (face >= 0)
+    assert torch.allclose(seen.depth.flatten()[hit].double(), depth[hit], rtol=1e-3, atol=1e-3)
+    assert torch.equal(seen.mask.flatten(), seen.face.flatten() >= 0)
+    assert seen.depth.flatten()[seen.face.flatten() < 0].isinf().all()
+    assert seen.normal.isfinite().all()
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_shared_edges_belong_to_exactly_one_face(seed: int) -> None:
+    """A sheet whose vertices and edges lie on pixel centres, split in two: no pixel twice, none missing."""
+    generator = torch.Generator().manual_seed(seed)
+    count, size = 9, 16
+    grid = torch.stack(torch.meshgrid(*[torch.arange(count) * 2.0] * 2, indexing="xy"), -1)
+    inner = grid[1:-1, 1:-1]
+    inner += torch.randint(-1, 2, inner.shape, generator=generator) * 0.5
+    place = (grid.reshape(-1, 2) + 0.5 - size / 2) / (size / 2)
+    vertices = torch.cat((place, torch.zeros(count * count, 1)), 1)
+    index = torch.arange(count * count).reshape(count, count)
+    a, b, c, d = (i.flatten() for i in (index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]))
+    faces = torch.cat((torch.stack((a, b, c), 1), torch.stack((a, d, c), 1)))  # both windings
+    part = torch.rand(len(faces), generator=generator) < 0.5
+    camera = Camera.orthographic()
+    whole, one, other = (
+        render_normals(vertices, f, camera, (size, size)).mask for f in (faces, faces[part], faces[~part])
+    )
+    # The sheet's left edge runs through the centres of column 0 (inside), its bottom through row 15 (outside).
+    assert whole[..., :-1, :].all()
+    assert not whole[..., -1, :].any()
+    assert not (one & other).any()
+    assert torch.equal(one | other, whole)
+
+
+@pytest.mark.parametrize("mesh", [trimesh.creation.icosphere(3), trimesh.creation.torus(0.7, 0.3)])
+@pytest.mark.parametrize("perspective", [False, True])
+def test_closed_surfaces_have_no_cracks(mesh: trimesh.Trimesh, perspective: bool) -> None:
+    """Every pixel sees as many front faces as back faces; the nearest one is a front face."""
+    vertices, faces = torch.tensor(mesh.vertices).double(), torch.tensor(mesh.faces)
+    camera = Camera.perspective(0.8, (0.3, 1.0, 2.9)) if perspective else Camera.orthographic(1.1, (0.2, 0.7, 2))
+    seen = render_normals(vertices, faces, camera, (150, 200), smooth=False)
+    p = camera.to_camera_frame(vertices)[0][faces]
+    flat = torch.linalg.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+    front = ((-flat * p[:, 0]).sum(1) if perspective else flat[:, 2]) > 0
+    shown = seen.face[seen.mask]
+    assert front[shown].all()
+    back = render_normals(vertices, faces[~front], camera, (150, 200))
+    assert torch.equal(back.mask, seen.mask)
+
+
+@pytest.mark.parametrize(
+    "camera", [Camera.orthographic(1.1), Camera.perspective(math.radians(90), (0.3, 0.2, 1.4))], ids=["ortho", "persp"]
+)
+def test_sphere_normals_are_exact(camera: Camera) -> None:
+    vertices, faces = sphere(5)
+    seen = render_normals(vertices, faces, camera, (256, 256))
+    points = camera.points(torch.where(seen.mask, seen.depth, 1.0))
+    centre = camera.to_camera_frame(torch.zeros(1, 3)).reshape(1, 3, 1, 1)
+    error = angular_error(seen.normal, points - centre, seen.mask).summary()
+    assert error["mean"] <= 0.015
+    flat = render_normals(vertices, faces, camera, (256, 256), smooth=False)
+    assert angular_error(flat.normal, points - centre, seen.mask).summary()["mean"] > 0.3
+
+
+def test_given_vertex_normals_are_used() -> None:
+    vertices, faces = sphere(2)
+    tilted = torch.tensor([0.6, 0.0, 0.8]).expand_as(vertices)
+    seen = render_normals(vertices, faces, Camera.orthographic(), (32, 32), vertex_normals=tilted)
+    wanted = torch.tensor([0.6, 0.0, 0.8])[:, None].expand(3, int(seen.mask.sum()))
+    assert torch.allclose(seen.normal[0][:, seen.mask[0, 0]], wanted, atol=1e-6)
+
+
+def test_barycentric_weights_rebuild_the_surface_point() -> None:
+    vertices, faces = sphere(2)
+    camera = Camera.perspective(0.9, (0.5, 0.4, 2.5))
+    seen = render_normals(vertices, faces, camera, (40, 40))
+    hit = seen.mask[0, 0]
+    corners = camera.to_camera_frame(vertices)[0][faces[seen.face[0, 0][hit]]]
+    built = (corners * seen.barycentric[0][:, hit].T[:, :, None]).sum(1)
+    assert torch.allclose(built, camera.points(torch.where(seen.mask, seen.depth, 1.0))[0][:, hit].T, atol=1e-5)
+    assert torch.allclose(seen.barycentric[0][:, hit].sum(0), torch.ones(1), atol=1e-6)
+
+
+def test_batches_of_meshes_and_cameras() -> None:
+    vertices, faces = sphere(2)
+    eyes = torch.tensor([[0.0, 0, 3], [2, 1, 2]])
+    both = render_normals(vertices, faces, Camera.perspective(0.9, eyes), (24, 24))
+    for b in range(2):
+        one = render_normals(vertices, faces, Camera.perspective(0.9, eyes[b]), (24, 24))
+        assert torch.equal(both.face[b], one.face[0])
+        assert torch.allclose(both.normal[b], one.normal[0])
+    grown = render_normals(torch.stack((vertices, vertices * 0.5)), faces, Camera.orthographic(), (24, 24))
+    assert grown.mask[0].sum() > 3 * grown.mask[1].sum()
+
+
+def test_coincident_faces_show_the_first() -> None:
+    vertices = torch.tensor([[-1.0, -1, 0], [3, -1, 0], [-1, 3, 0]])
+    faces = torch.tensor([[0, 1, 2], [2, 1, 0], [0, 1, 2]])
+    assert (render_normals(vertices, faces, Camera.orthographic(), (8, 8)).face == 0).all()
+
+
+def test_a_face_seen_from_behind_turns_its_normal() -> None:
+    vertices = torch.tensor([[-1.0, -1, 0], [-1, 3, 0], [3, -1, 0]])
+    seen = render_normals(vertices, torch.tensor([[0, 1, 2]]), Camera.orthographic(), (4, 4))
+    assert (seen.normal[:, 2] == 1).all()
+
+
+def test_standing_inside_a_sphere_fills_the_picture() -> None:
+    vertices, faces = sphere(3)
+    seen = render_normals(vertices, faces, Camera.perspective(2.0, (0.1, 0.2, 0.3), (0.0, 0.5, 1)), (64, 64))
+    assert seen.mask.all()
+    assert seen.depth.max() < 1.4
+
+
+def test_nothing_to_see() -> None:
+    nothing = torch.zeros(0, 3, dtype=torch.int64)
+    for faces, camera in (
+        (nothing, Camera.orthographic()),
+        (torch.tensor([[0, 1, 2]]), Camera.perspective(1.0, (0, 0, -3), (0, 0, -4))),
+        (torch.tensor([[0, 0, 1]]), Camera.orthographic()),
+    ):
+        seen = render_normals(torch.eye(3), faces, camera, (4, 5))
+        assert not seen.mask.any()
+        assert (seen.face == -1).all()
+        assert seen.depth.isinf().all()
+        assert (seen.normal == 0).all()
+
+
+@pytest.mark.parametrize("perspective", [False, True])
+def test_gradients_reach_vertices_and_camera(perspective: bool) -> None:
+    ball = trimesh.creation.icosphere(1)
+    vertices = torch.tensor(ball.vertices).double().requires_grad_()
+    faces = torch.tensor(ball.faces)
+    eye = torch.tensor([0.31, 0.22, 2.6]).double().requires_grad_()
+
+    def maps(v: Tensor, e: Tensor) -> tuple[Tensor, ...]:
+        camera = Camera.perspective(0.9, e) if perspective else Camera.orthographic(1.2, e)
+        seen = render_normals(v, faces, camera, (5, 5))
+        return seen.normal, seen.barycentric, torch.where(seen.mask, seen.depth, 0.0)
+
+    assert gradcheck(maps, (vertices, eye), eps=1e-7, atol=1e-5)
+
+
+def test_gradients_reach_vertex_normals() -> None:
+    vertices, faces = sphere(1)
+    given_normals = vertices.double().clone().requires_grad_()
+
+    def normals(n: Tensor) -> Tensor:
+        return render_normals(vertices.double(), faces, Camera.orthographic(), (5, 5), vertex_normals=n).normal
+
+    assert gradcheck(normals, (given_normals,))
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "words"),
+    [
+        ({"vertices": torch.full((3, 3), torch.nan)}, RangeError, "clean"),
+        ({"vertices": torch.zeros(3)}, ShapeError, "vertices"),
+        ({"faces": torch.tensor([[0, 1, 3]])}, RangeError, "0 to 2"),
+        ({"faces": torch.tensor([[0, -1, 2]])}, RangeError, "faces"),
+        ({"faces": torch.tensor([[0, 1, 2]]).int()}, ShapeError, "int64"),
+        ({"size": (0, 4)}, ShapeError, "size"),
+        ({"vertex_normals": torch.zeros(4, 3)}, ShapeError, "vertex_normals"),
+        (
+            {"vertices": torch.zeros(3, 3, 3), "camera": Camera.perspective(1.0, torch.ones(2, 3))},
+            ShapeError,
+            "batch",
+        ),
+    ],
+)
+def test_bad_input(change: dict[str, object], error: type[Exception], words: str) -> None:
+    arguments = {
+        "vertices": torch.eye(3),
+        "faces": torch.tensor([[0, 1, 2]]),
+        "camera": Camera.orthographic(),
+        "size": (4, 4),
+    }
+    with pytest.raises(error, match=words):
+        render_normals(**(arguments | change))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("name", ["stanford-bunny", "spot", "suzanne", "teapot", "nefertiti"])
+def test_real_meshes_show_what_rays_meet(data: object, name: str) -> None:
+    """A sample of pixels against trimesh's ray casting."""
+    vertices, faces = load_mesh(f"{data}/meshes/{name}.obj")
+    vertices = normalise_mesh(vertices)
+    camera = Camera.orthographic(1.0)
+    seen = render_normals(vertices, faces, camera, (48, 48), smooth=False)
+    solid = trimesh.Trimesh(vertices.double().numpy(), faces.numpy(), process=False)
+    base, _ = rays_of(camera, (48, 48))
+    origins = base + torch.tensor([0.0, 0, 2])
+    hit = torch.from_numpy(solid.ray.intersects_any(origins.numpy(), (base * 0 + torch.tensor([0.0, 0, -1])).numpy()))
+    assert (hit != seen.mask.flatten()).float().mean() < 0.002

@@ -1,0 +1,319 @@
+from __future__ import annotations
+
+import math
+
+import oracles
+import pytest
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+from torch.autograd import gradcheck
+
+from torch_orennayar import (
+    MODELS,
+    ModelError,
+    OrenNayar,
+    RangeError,
+    ShapeError,
+    brdf,
+    directional_albedo,
+    oren_nayar,
+    point_light,
+)
+
+ALL = sorted(MODELS)
+UP = torch.tensor([0.0, 0.0, 1.0])
+
+
+def unit(*shape: int, dim: int = 1, seed: int = 0, dtype: torch.dtype = torch.float64) -> Tensor:
+    generator = torch.Generator().manual_seed(seed)
+    return F.normalize(torch.randn(*shape, generator=generator, dtype=dtype), dim=dim)
+
+
+def random_scene(dtype: torch.dtype = torch.float64) -> tuple[Tensor, ...]:
+    """Normals, light, view, albedo, roughness; about a quarter of the pixels face both."""
+    generator = torch.Generator().manual_seed(5)
+    return (
+        unit(2, 3, 4, 5, seed=1, dtype=dtype),
+        unit(2, 3, 1, 1, seed=2, dtype=dtype),
+        unit(1, 3, 4, 5, seed=3, dtype=dtype),
+        torch.rand(2, 3, 1, 1, generator=generator, dtype=dtype),
+        torch.rand(2, 1, 4, 5, generator=generator, dtype=dtype),
+    )
+
+
+@pytest.mark.parametrize("model", ALL)
+def test_white_pixel_facing_the_light_is_one(model: str) -> None:
+    up = UP.reshape(1, 3, 1, 1)
+    assert oren_nayar(up, up, up, 1.0, 0.0, model=model).item() == 1.0
+    assert brdf(up, up, up, 1.0, 0.0, model=model).item() == pytest.approx(1 / math.pi, rel=1e-6)
+
+
+@pytest.mark.parametrize("model", ALL)
+def test_smooth_equals_lambert_to_rounding(model: str) -> None:
+    normal, light, view, albedo, _ = random_scene(torch.float32)
+    smooth = oren_nayar(normal, light, view, albedo, 0.0, model=model)
+    assert torch.equal(smooth, oren_nayar(normal, light, view, albedo, 0.0, model="lambert"))
+
+
+@pytest.mark.parametrize("model", ALL)
+def test_lambert_shading_is_albedo_times_cosine(model: str) -> None:
+    normal, light, view, albedo, _ = random_scene()
+    cosine = (normal * light).sum(1, keepdim=True)
+    seen = ((normal * view).sum(1, keepdim=True) > 0) & (cosine > 0)
+    wanted = albedo * cosine * seen
+    assert torch.allclose(oren_nayar(normal, light, view, albedo, 0.0, model=model), wanted, rtol=0, atol=1e-15)
+
+
+@pytest.mark.parametrize("model", ALL)
+def test_rotation_invariance(model: str) -> None:
+    normal, light, view, albedo, roughness = random_scene()
+    turn = torch.linalg.qr(unit(3, 3, seed=9)).Q
+    turned = [torch.einsum("ij,bjhw->bihw", turn, t) for t in (normal, light, view)]
+    straight = oren_nayar(normal, light, view, albedo, roughness, model=model)
+    assert torch.allclose(oren_nayar(*turned, albedo, roughness, model=model), straight, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("model", ALL)
+def test_brdf_is_reciprocal(model: str) -> None:
+    normal, light, view, albedo, roughness = random_scene()
+    there = brdf(normal, light, view, albedo, roughness, model=model)
+    assert there.max() > 0
+    assert torch.allclose(there, brdf(normal, view, light, albedo, roughness, model=model), rtol=1e-10, atol=1e-12)
+
+
+@pytest.mark.parametrize("model", ALL)
+@pytest.mark.parametrize(("cosine", "degrees"), [(0.2, 20), (0.6, 45), (1.0, 60)])
+def test_directional_albedo_against_monte_carlo(model: str, cosine: float, degrees: float) -> None:
+    sigma = math.radians(degrees)
+    value = directional_albedo(torch.tensor(cosine).double(), 0.8, sigma, model=model).item()
+    wanted = oracles.directional_albedo_monte_carlo(MODELS[model].function, cosine, 0.8, sigma)
+    assert value == pytest.approx(wanted, abs=3e-3)
+
+
+@pytest.mark.parametrize(
+    ("model", "low", "high"),
+    [
+        ("lambert", 1 - 1e-9, 1 + 1e-9),
+        ("vcavity", 0.98, 1.02),
+        ("eon", 0.999, 1.001),
+        ("qualitative", 0.55, 1.04),
+        ("qualitative-0.57", 0.6, 1.05),
+        ("fujii", 0.7, 1.04),
+        ("full", 0.7, 1.04),
+    ],
+)
+def test_white_furnace(model: str, low: float, high: float) -> None:
+    """What a white surface sends back. Only vcavity and eon keep the light; the others are as they are."""
+    cosine = torch.tensor([0.1, 0.3, 0.5, 0.7, 1.0]).double()[:, None]
+    sigma = torch.tensor([0.0, 10, 20, 30, 45, 60]).double().deg2rad()
+    value = directional_albedo(cosine, 1.0, sigma, model=model)
+    assert low <= value.min().item()
+    assert value.max().item() <= high
+
+
+def facing_scene() -> list[Tensor]:
+    """Directions well above the horizon and away from every kink."""
+    normal = F.normalize(torch.tensor([[0.1, 0.2, 1.0], [-0.2, 0.1, 1.0], [0.0, -0.3, 1.0]]).double(), dim=1)
+    light = F.normalize(torch.tensor([[0.5, 0.1, 1.0], [0.4, 0.5, 0.9], [-0.6, 0.3, 0.8]]).double(), dim=1)
+    view = F.normalize(torch.tensor([[0.4, -0.1, 1.3], [0.2, 0.1, 1.0], [0.3, -0.2, 1.0]]).double(), dim=1)
+    albedo, roughness = torch.tensor([[[0.3], [0.6], [0.9]], [[0.2], [0.5], [0.9]]]).double()
+    return [normal, light, view, albedo, roughness]
+
+
+@pytest.mark.parametrize("model", ALL)
+def test_gradients_of_every_argument(model: str) -> None:
+    inputs = [t.requires_grad_() for t in facing_scene()]
+    assert gradcheck(lambda *a: oren_nayar(*a, model=model), inputs)
+
+
+@pytest.mark.parametrize("dtype", [torch.float64, torch.float32, torch.bfloat16, torch.float16])
+@pytest.mark.parametrize("model", ALL)
+def test_values_and_gradients_are_finite_where_others_fail(model: str, dtype: torch.dtype) -> None:
+    tiny = 1e-3
+    side, low = torch.tensor([1.0, 0, 0]), F.normalize(torch.tensor([1.0, 0, tiny]), dim=0)
+    slanted = F.normalize(torch.tensor([0.3, 0.2, 1.0]), dim=0)
+    to_light = torch.stack((UP, side, low, slanted, -UP)).repeat_interleave(5, 0)
+    to_camera = torch.stack((UP, side, low, -low, slanted)).repeat(5, 1)
+    light, view = (t[:, None, None].to(dtype).requires_grad_() for t in (to_light, to_camera))
+    normal = UP.expand(25, 1, 1, 3).clone().to(dtype).requires_grad_()
+    sigma = torch.tensor([0.0, 1e-8, 0.5, math.pi / 2]).reshape(-1, 1, 1).to(dtype).clamp(max=1.57).requires_grad_()
+    rho = torch.tensor([0.0, 0.5, 1.0, 1.5]).reshape(-1, 1).to(dtype)[None, None].requires_grad_()
+    value = oren_nayar(normal, light, view, rho.transpose(-1, -2), sigma, model=model, dim=-1)
+    assert value.dtype == dtype
+    assert value.isfinite().all()
+    value.float().sum().backward()
+    for leaf in (normal, light, view, sigma, rho):
+        assert leaf.grad is not None
+        assert leaf.grad.isfinite().all()
+
+
+@pytest.mark.parametrize("model", ALL)
+@pytest.mark.parametrize("broken", [float("nan"), float("inf"), 0.0])
+def test_broken_normals_shade_to_zero_and_reach_no_gradient(model: str, broken: float) -> None:
+    normal = UP.reshape(1, 3, 1, 1).repeat(1, 1, 2, 2)
+    normal[..., 0, 0] = broken
+    normal.requires_grad_()
+    light = torch.tensor([0.0, 0.6, 0.8]).reshape(1, 3, 1, 1).requires_grad_()
+    sigma = torch.tensor(0.4, requires_grad=True)
+    value = oren_nayar(normal, light, UP.reshape(1, 3, 1, 1), 0.8, sigma, model=model)
+    value.sum().backward()
+    assert value[..., 0, 0].item() == 0
+    assert (value.flatten()[1:] > 0).all()
+    assert normal.grad is not None
+    assert (normal.grad[..., 0, 0] == 0).all()
+    assert light.grad is not None
+    assert light.grad.isfinite().all()
+
+
+@pytest.mark.parametrize("model", ALL)
+def test_facing_away_is_zero_with_zero_gradients(model: str) -> None:
+    light, view = (torch.tensor([v]).double().requires_grad_() for v in ([0.6, 0, -0.8], [0.0, 0, 1]))
+    normal = UP[None].double().requires_grad_()
+    sigma = torch.tensor(0.4).double().requires_grad_()
+    for first, second in ((light, view), (view, light)):
+        value = oren_nayar(normal, first, second, 0.5, sigma, model=model)
+        assert value.item() == 0
+        assert all((g == 0).all() for g in torch.autograd.grad(value, (normal, light, view, sigma)))
+
+
+def test_half_precision_is_computed_in_float32() -> None:
+    scene = random_scene(torch.float32)
+    half = [t.half() for t in scene]
+    wanted = oren_nayar(*(t.float() for t in half), model="vcavity")
+    assert torch.equal(oren_nayar(*half, model="vcavity"), wanted.half())
+
+
+def test_any_axis_and_broadcasting_agree() -> None:
+    normal, light, view, albedo, roughness = random_scene()
+    image = oren_nayar(normal, light, view, albedo, roughness)
+    last = [t.movedim(1, -1) for t in (normal, light, view, albedo, roughness)]
+    assert torch.allclose(oren_nayar(*last, dim=-1).movedim(-1, 1), image, rtol=0, atol=1e-15)
+    assert oren_nayar(unit(7, 3), UP.double(), UP.double(), 0.5, 0.3, dim=-1).shape == (7, 1)
+
+
+def test_irradiance_scales() -> None:
+    normal, light, view, albedo, roughness = random_scene()
+    colour = torch.tensor([1.0, 2.0, 3.0]).double().reshape(1, 3, 1, 1)
+    once = oren_nayar(normal, light, view, albedo, roughness)
+    assert torch.allclose(oren_nayar(normal, light, view, albedo, roughness, irradiance=colour), once * colour)
+
+
+def test_layer_accepts_every_layout_of_lights() -> None:
+    normal = unit(2, 3, 4, 5, seed=1)
+    lights = unit(2, 7, 3, dim=2, seed=2)
+    layer = OrenNayar("vcavity")
+    several = layer(normal, lights, albedo=torch.rand(2, 3).double(), roughness=torch.rand(2, 1).double())
+    assert several.shape == (2, 7, 3, 4, 5)
+    albedo, roughness = torch.rand(2, 3, 4, 5).double(), torch.rand(2, 1, 4, 5).double()
+    several = layer(normal, lights, albedo=albedo, roughness=roughness)
+    for k in range(7):
+        assert torch.allclose(layer(normal, lights[:, k], albedo=albedo, roughness=roughness), several[:, k])
+    maps = lights[:, 0, :, None, None].expand(2, 3, 4, 5)
+    assert torch.allclose(layer(normal, maps, albedo=albedo, roughness=roughness), several[:, 0])
+    maps = lights[..., None, None].expand(2, 7, 3, 4, 5)
+    power = torch.rand(2, 7, 3).double()
+    coloured = layer(normal, maps, albedo=albedo, roughness=roughness, irradiance=power)
+    assert torch.allclose(coloured, several * power[..., None, None])
+
+
+def test_layer_defaults_are_a_white_smooth_surface_seen_orthographically() -> None:
+    normal = F.normalize(torch.tensor([[0.3, 0.0, 1.0]]), dim=1).reshape(1, 3, 1, 1)
+    assert torch.allclose(OrenNayar()(normal, UP[None]), normal[:, 2:])
+    points = unit(6, 3)
+    assert OrenNayar(dim=-1)(points, UP.double()).shape == (6, 1)
+
+
+def test_learnable_parameters_receive_gradients_through_the_layer() -> None:
+    normal = unit(1, 3, 8, 8, seed=3).float()
+    sigma = torch.tensor(0.3, requires_grad=True)
+    albedo = torch.full((1, 3), 0.5, requires_grad=True)
+    OrenNayar("vcavity")(normal, UP[None], albedo=albedo, roughness=sigma).sum().backward()
+    assert sigma.grad is not None
+    assert sigma.grad.abs() > 0
+    assert albedo.grad is not None
+    assert (albedo.grad > 0).all()
+
+
+def test_vmap_and_compile_free_checks() -> None:
+    normal, light, view, albedo, roughness = facing_scene()
+    batched = torch.func.vmap(lambda *a: oren_nayar(*(t[None] for t in a))[0])(normal, light, view, albedo, roughness)
+    assert torch.allclose(batched, oren_nayar(normal, light, view, albedo, roughness))
+
+
+def test_empty_batch() -> None:
+    assert OrenNayar()(torch.zeros(0, 3, 4, 5), torch.zeros(0, 3), albedo=torch.zeros(0, 3)).shape == (0, 3, 4, 5)
+
+
+def test_point_light_follows_the_inverse_square() -> None:
+    points = torch.randn(1, 3, 4, 4, generator=torch.Generator().manual_seed(0)).double()
+    position = torch.tensor([0.5, 0.4, 3.0]).double().reshape(1, 3, 1, 1)
+    light, irradiance = point_light(points, position, 2.0)
+    offset = position - points
+    distance = offset.norm(dim=1, keepdim=True)
+    assert torch.allclose(light, offset / distance)
+    assert torch.allclose(irradiance, 2 / distance**2)
+
+
+def test_point_light_at_the_surface_is_dark_with_finite_gradients() -> None:
+    points = torch.zeros(1, 3, 1, 2, dtype=torch.float64)
+    points[..., 1] = 1
+    points.requires_grad_()
+    light, irradiance = point_light(points, torch.zeros(1, 3, 1, 1).double(), 1.0)
+    (light.sum() + irradiance.sum()).backward()
+    assert light[..., 0].abs().sum() == 0
+    assert irradiance[..., 0].item() == 0
+    assert points.grad is not None
+    assert points.grad.isfinite().all()
+
+
+def test_point_light_gradients() -> None:
+    points = unit(1, 3, 2, 2).requires_grad_()
+    position = torch.tensor([0.5, 0.4, 3.0]).double().reshape(1, 3, 1, 1).requires_grad_()
+    intensity = torch.tensor(1.5).double().requires_grad_()
+    assert gradcheck(point_light, (points, position, intensity))
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "words"),
+    [
+        ({"roughness": -0.1}, RangeError, "roughness"),
+        ({"roughness": torch.tensor([[[[-0.1]]]])}, RangeError, "roughness"),
+        ({"roughness": 30.0}, RangeError, "radians"),
+        ({"roughness": float("nan")}, RangeError, "NaN"),
+        ({"roughness": torch.full((1, 1, 2, 2), torch.nan)}, RangeError, "NaN"),
+        ({"roughness": torch.zeros(1, 3, 1, 1)}, ShapeError, "roughness"),
+        ({"albedo": -0.5}, RangeError, "albedo"),
+        ({"albedo": torch.rand(3)}, ShapeError, "albedo"),
+        ({"albedo": torch.rand(1, 3, 5, 5)}, ShapeError, "albedo"),
+        ({"light": torch.tensor([1.0, 1, 1]).reshape(1, 3, 1, 1)}, RangeError, "unit"),
+        ({"light": torch.zeros(1, 2, 1, 1)}, ShapeError, "light"),
+        ({"light": torch.zeros(3)}, ShapeError, "light"),
+        ({"normal": torch.zeros(1, 4, 2, 2)}, ShapeError, "normal"),
+        ({"model": "orennayar"}, ModelError, "qualitative"),
+        ({"irradiance": -1.0}, RangeError, "irradiance"),
+        ({"irradiance": torch.ones(1, 1, 3, 3)}, ShapeError, "irradiance"),
+        ({"dim": 7}, ShapeError, "dim"),
+    ],
+)
+def test_bad_input_names_argument_and_mend(change: dict[str, object], error: type[Exception], words: str) -> None:
+    up = UP.reshape(1, 3, 1, 1)
+    arguments: dict[str, object] = {
+        "normal": up.expand(1, 3, 2, 2),
+        "light": up,
+        "view": up,
+        "albedo": 0.5,
+        "roughness": 0.3,
+    }
+    with pytest.raises(error, match=words):
+        oren_nayar(**(arguments | change))  # type: ignore[arg-type]
+
+
+def test_layer_refuses_layouts_it_does_not_know() -> None:
+    normal = unit(2, 3, 4, 5).float()
+    with pytest.raises(ShapeError, match="dim"):
+        OrenNayar()(normal.movedim(1, -1), UP[None])
+    with pytest.raises(ShapeError, match="albedo"):
+        OrenNayar()(normal, UP[None], albedo=torch.rand(2, 4, 5))
+    with pytest.raises(ModelError, match="vcavity"):
+        OrenNayar("lambertian")
