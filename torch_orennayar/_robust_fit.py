@@ -160,7 +160,7 @@ def _evaluate(
         rho = albedo.expand_as(ci).contiguous().requires_grad_()
         value = function(ci, co, lights[:, 2].expand_as(ci), rho, normal.new_tensor(sigma))
         # Element-wise functions: the gradient of the sum holds every element's own derivative.
-        derivatives = torch.autograd.grad(value.sum(), (ci, co, rho))
+        derivatives = torch.autograd.grad(value.sum(), (ci, co, rho), allow_unused=True, materialize_grads=True)
     d_ci, d_co, d_rho = (torch.where(lit, d, 0.0) for d in derivatives)
     return torch.where(lit, value.detach(), 0.0), ci.detach(), d_ci, d_co, d_rho
 

@@ -45,7 +45,8 @@ class Model:
 
 
 def lambert(ci: Tensor, co: Tensor, lv: Tensor, rho: Tensor, sigma: Tensor) -> Tensor:
-    """Lambert (1760): radiance does not depend on the view. ``sigma`` is not used."""
+    """Lambert (1760): the albedo, whatever the directions and the roughness."""
+    # The zero keeps every argument in the graph: its gradient is 0, not absent, and models can be swapped.
     return rho + 0.0 * (ci + co + lv + sigma)
 
 
@@ -206,10 +207,11 @@ def register_model(
             got=f"{type(error_raised).__name__}: {error_raised}",
             mend="make it accept five broadcasting tensors",
         ) from error_raised
-    if not isinstance(result, Tensor) or result.shape != (2, 3) or not bool(result.isfinite().all()):
+    element_wise = isinstance(result, Tensor) and result.shape in ((2, 3), (2, 1), (1, 3))
+    if not element_wise or not bool(result.isfinite().all()):
         raise ModelError(
             "function",
-            expected="a finite tensor of the broadcast shape (2, 3) on a trial",
+            expected="finite values of the broadcast shape (2, 3) on a trial",
             got=f"shape {tuple(result.shape)}" if isinstance(result, Tensor) else type(result).__name__,
             mend="return pi f_r, element by element",
         )
@@ -231,13 +233,13 @@ _KINKS = "kinks at ci = co and s = 0"
 _models: dict[str, Model] = {
     m.name: m
     for m in (
-        Model("lambert", lambert, "Lambert 1760"),
-        Model("qualitative", qualitative, "Oren & Nayar 1994, eq. 30", gradients=_KINKS),
-        Model("qualitative-0.57", qualitative_057, "Oren & Nayar 1994, remark on eq. 30", gradients=_KINKS),
-        Model("fujii", fujii, "Y. Fujii 2012", gradients=_KINKS),
-        Model("full", full, "Oren & Nayar 1994, eqs. 27-29", gradients=_KINKS),
-        Model("vcavity", vcavity, "this project's rational fit to the V-cavity theory, all bounces"),
-        Model("eon", eon, "Portsmouth, Kutz & Hill 2024", gradients=_KINKS),
+        Model("lambert", lambert, "Lambert 1760", 1.0, 0.141),
+        Model("qualitative", qualitative, "Oren & Nayar 1994, eq. 30", 1.2, 0.070, _KINKS),
+        Model("qualitative-0.57", qualitative_057, "Oren & Nayar 1994, remark on eq. 30", 1.2, 0.061, _KINKS),
+        Model("fujii", fujii, "Y. Fujii 2012", 1.6, 0.035, _KINKS),
+        Model("full", full, "Oren & Nayar 1994, eqs. 27-29", 2.7, 0.036, _KINKS),
+        Model("vcavity", vcavity, "this project's rational fit to the V-cavity theory, all bounces", 3.5, 0.0036),
+        Model("eon", eon, "Portsmouth, Kutz & Hill 2024", 1.9, 0.083, _KINKS),
     )
 }
 MODELS: Mapping[str, Model] = MappingProxyType(_models)
