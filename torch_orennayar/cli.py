@@ -65,6 +65,8 @@ def render(
     ),
     model: ModelName = "vcavity",
     size: Annotated[int, typer.Option(help="Height and width in pixels.", min=1, max=8192)] = 512,
+    azimuth: Annotated[float, typer.Option(help="Degrees that the camera walks to the right around the mesh.")] = 0.0,
+    elevation: Annotated[float, typer.Option(help="Degrees that it climbs.", min=-89, max=89)] = 0.0,
     fov: Annotated[
         float | None, typer.Option(help="Vertical field of view in degrees; default orthographic.", min=1, max=170)
     ] = None,
@@ -84,10 +86,13 @@ def render(
     if not (bool(direction.isfinite().all()) and bool(direction.norm() > 0)):
         raise RangeError("--light", expected="a direction", got=str(light), mend="give three numbers, not all zero")
     vertices, faces = load_mesh(mesh)
+    a, e = math.radians(azimuth), math.radians(elevation)
+    toward = (math.sin(a) * math.cos(e), math.sin(e), math.cos(a) * math.cos(e))
     if fov is None:
-        camera = Camera.orthographic(1.05)
+        camera = Camera.orthographic(1.05, eye=tuple(2 * x for x in toward))
     else:
-        camera = Camera.perspective(math.radians(fov), eye=(0, 0, 1.05 / math.sin(math.radians(fov) / 2)))
+        distance = 1.05 / math.sin(math.radians(fov) / 2)
+        camera = Camera.perspective(math.radians(fov), eye=tuple(distance * x for x in toward))
     seen = render_normals(normalise_mesh(vertices), faces, camera, (size, size))
     view = camera.view_directions((size, size))
     unit = F.normalize(direction, dim=0)[None]

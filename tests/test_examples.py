@@ -1,0 +1,37 @@
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+import torch
+
+from torch_orennayar import save_mesh
+from torch_orennayar.demo import make_object
+from torch_orennayar.images import read_image
+
+EXAMPLES = Path(__file__).parent.parent / "examples"
+
+
+def load(name: str) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(name, EXAMPLES / f"{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_fit_roughness_finds_the_truth() -> None:
+    albedo, degrees = load("fit_roughness").main()
+    assert torch.allclose(albedo, torch.tensor([0.8, 0.5, 0.2]), atol=0.01)
+    assert degrees == pytest.approx(35, abs=1)
+
+
+def test_shade_mesh_draws_two_rows_of_three(tmp_path: Path) -> None:
+    save_mesh(tmp_path / "mesh.ply", *make_object())
+    load("shade_mesh").main(str(tmp_path / "mesh.ply"), str(tmp_path / "picture.png"))
+    picture = read_image(tmp_path / "picture.png")
+    assert picture.shape == (512, 768)
+    assert (picture[:256] != picture[256:]).mean() > 0.1
