@@ -274,7 +274,8 @@ def _read_images(files: list[Path], encoding: str, notes: list[str]) -> Tensor:
                 mend="export all images of a capture with one bit depth",
             )
     curved = encoding == "srgb" or (encoding == "auto" and first.dtype == np.uint8)
-    notes.append(f"{first.dtype} images read as {'sRGB-encoded' if curved else 'linear light'}")
+    guess = "; if they are not, load them with encoding='linear' (--encoding linear)" if encoding == "auto" else ""
+    notes.append(f"{first.dtype} images read as {f'sRGB-encoded{guess}' if curved else 'linear light'}.")
     result = torch.empty(len(arrays), 3, *first.shape[:2])
     for index, array in enumerate(arrays):
         unit = torch.from_numpy(to_unit(array))
@@ -286,7 +287,7 @@ def _read_images(files: list[Path], encoding: str, notes: list[str]) -> Tensor:
 def _read_intensities(folder: Path, count: int, notes: list[str]) -> Tensor:
     file = next((folder / name for name in INTENSITY_FILES if (folder / name).is_file()), None)
     if file is None:
-        notes.append("no light intensities: all lights taken as equally bright")
+        notes.append("no light intensities: all lights taken as equally bright.")
         return torch.ones(count, 3)
     values = _numbers(file, _lines(file), (1, 3))
     if len(values) != count:
@@ -300,7 +301,7 @@ def _read_intensities(folder: Path, count: int, notes: list[str]) -> Tensor:
 
 def _read_mask(file: Path, size: tuple[int, int], *, required: bool, notes: list[str]) -> Tensor:
     if not file.is_file() and not required:
-        notes.append("no mask.png: every pixel is taken as the object")
+        notes.append("no mask.png: every pixel is taken as the object.")
         return torch.ones(1, *size, dtype=torch.bool)
     array = to_unit(read_image(file))
     array = array if array.ndim == 2 else array.max(axis=2)

@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from .errors import FileError, RangeError, TorchOrenNayarError
+from .progress import say
 
 app = typer.Typer(
     help="Rough surfaces: shading, rendering, photometric stereo, ONNX export. Angles are degrees.",
@@ -37,8 +38,7 @@ def demo(
     """Render a rough object, recover it from the pictures, and write a report."""
     from .demo import run_demo
 
-    with err.status("rendering and recovering a rough object"):
-        numbers = run_demo(output, size=size, seed=seed)
+    numbers = run_demo(output, size=size, seed=seed)
     table = Table("solved with", "normal error, mean", "roughness (truth 30)", "albedo error")
     for name, n in numbers.items():
         mean = n["normal_error_degrees"]["mean"]
@@ -159,8 +159,8 @@ def export(
     """Write an ONNX graph and verify it against torch."""
     from .export import export_onnx
 
-    with err.status("exporting and verifying"):
-        export_onnx(graph, path, model=model, per_pixel_directions=per_pixel_directions)
+    say("exporting and verifying")
+    export_onnx(graph, path, model=model, per_pixel_directions=per_pixel_directions)
     out.print(f"{path}: {path.stat().st_size / 1000:.0f} kB, equal to torch at five sizes", markup=False)
 
 

@@ -22,6 +22,7 @@ from .images import linear_to_srgb
 from .integrate import integrate_normals
 from .mesh import depth_to_mesh, save_mesh
 from .metrics import angular_error
+from .progress import say
 from .render import NormalMap, render_normals
 from .report import Section, write_report
 from .shading import OrenNayar
@@ -93,14 +94,17 @@ def run_demo(folder: str | os.PathLike[str], *, size: int = 256, seed: int = 0) 
         FileError: the place cannot be written.
     """
     with atomic_directory(folder) as temporary:
+        say("rendering a rough object")
         scene = make_scene(size, seed)
         save_capture(temporary / "capture", scene.images, scene.lights, scene.surface.mask[0], scene.surface.normal[0])
         capture = load_capture(temporary / "capture")
         found, seconds = {}, {}
         for model in (*METHODS, "auto"):
+            say(f"recovering it with {model}")
             begun = time.perf_counter()
             found[model] = photometric_stereo(capture.images, capture.lights, capture.mask, model=model, seed=seed)
             seconds[model] = time.perf_counter() - begun
+        say("drawing, and exporting an ONNX graph")
         numbers = {model: _numbers(found[model], scene, seconds[model]) for model in found}
         sections = [
             _sweep(temporary, scene),

@@ -22,9 +22,10 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 @contextmanager
 def atomic_directory(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """A temporary folder beside ``path``; its files move into ``path`` if the block succeeds, else vanish.
+    """A temporary folder; its files move into ``path`` if the block succeeds, else they vanish.
 
-    Files that ``path`` already holds under other names stay.
+    Files that ``path`` already holds under other names stay. The temporary folder lies inside ``path``
+    where that exists, else beside it, so that moving is a rename on one file system.
 
     Raises:
         FileError: ``path`` is a file, or the place cannot be written.
@@ -32,7 +33,7 @@ def atomic_directory(path: str | os.PathLike[str]) -> Iterator[Path]:
     target = Path(path)
     if target.exists() and not target.is_dir():
         raise FileError(str(target), expected="a folder", got="a file", mend="choose another output folder")
-    parent = target.absolute().parent
+    parent = target if target.is_dir() else target.absolute().parent
     try:
         parent.mkdir(parents=True, exist_ok=True)
         temporary = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=parent))

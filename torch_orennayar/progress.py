@@ -9,6 +9,12 @@ from typing import TypeVar
 T = TypeVar("T")
 
 
+def say(text: str) -> None:
+    """Tell a person at a terminal what happens now; quiet when stderr is not a terminal."""
+    if sys.stderr.isatty():
+        print(text, file=sys.stderr, flush=True)
+
+
 def track(items: Iterable[T], description: str, total: int | None = None) -> Iterator[T]:
     """Yield ``items`` and show how far they are; quiet when stderr is not a terminal."""
     if not sys.stderr.isatty():
