@@ -113,11 +113,13 @@ def test_batch_is_one_after_the_other(rough: Scene, smooth: Scene) -> None:
     assert both.scores[0] == alone.scores
 
 
-def test_brightness_changes_albedo_only(smooth: Scene) -> None:
+@pytest.mark.parametrize("factor", [1e-8, 1e-4, 1e4])
+def test_brightness_changes_albedo_only(smooth: Scene, factor: float) -> None:
     found = photometric_stereo(smooth.images, smooth.lights, smooth.mask, model="lambert")
-    dim = photometric_stereo(smooth.images * 1e-4, smooth.lights, smooth.mask, model="lambert")
+    dim = photometric_stereo(smooth.images * factor, smooth.lights, smooth.mask, model="lambert")
     assert angular_error(found.normal, dim.normal, smooth.mask).summary()["p90"] < 0.05
-    assert torch.allclose(dim.albedo * 1e4, found.albedo, atol=2e-3)
+    assert torch.allclose(dim.albedo / factor, found.albedo, atol=2e-3)
+    assert torch.allclose(dim.confidence, found.confidence, atol=1e-2)
 
 
 def test_dark_pixels_are_counted_and_have_no_confidence(smooth: Scene) -> None:

@@ -107,7 +107,7 @@ def albedo_per_channel(fitted: PixelFit, colour: Tensor, lights: Tensor, model: 
             shape = value * ci / albedo
             weighted = fitted.weight * shape
             norm = (weighted * shape).sum(1, keepdim=True).clamp_min(1e-12)
-            albedo = ((weighted * channel.T).sum(1, keepdim=True) / norm).clamp_min(1e-9)
+            albedo = ((weighted * channel.T).sum(1, keepdim=True) / norm).clamp_min(1e-30)
         channels.append(albedo)
     return torch.cat(channels, 1)
 
@@ -132,14 +132,14 @@ def _fit_chunk(
         weight = used / (1 + (residual / (2 * noise)) ** 2) ** 2
         by_light, by_view, by_rho = value + ci * d_ci, ci * d_co, ci * d_rho
         matrix, gradient, basis = _normal_equations(weight, residual, by_light, by_view, by_rho, lights, normal, scale)
-        damping = 1e-3 * matrix.diagonal(dim1=1, dim2=2) + 1e-9 * scale**2 * len(lights)
+        damping = 1e-3 * matrix.diagonal(dim1=1, dim2=2) + 1e-9 * len(lights)
         step = solve3(matrix + torch.diag_embed(damping), gradient)
         turn = step[:, :2] * (0.25 / step[:, :2].norm(dim=1, keepdim=True).clamp_min(0.25))
         normal = _upward(normal + (basis * turn[:, :, None]).sum(1))
         albedo = torch.maximum(albedo + step[:, 2:] * scale, 1e-6 * scale)
     value, ci, *_ = _evaluate(function, normal, albedo, lights, sigma)
     residual = (grey - value * ci).abs().mean(1, keepdim=True)
-    return PixelFit(normal, albedo, weight, residual, 1.25 * residual * _tangent_spread(matrix))
+    return PixelFit(normal, albedo, weight, residual, 1.25 * residual / scale * _tangent_spread(matrix))
 
 
 def _start(grey: Tensor, lights: Tensor, scale: Tensor) -> tuple[Tensor, Tensor]:
@@ -175,12 +175,13 @@ def _normal_equations(
     normal: Tensor,
     scale: Tensor,
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """3 x 3 systems in (two tangent angles, albedo / scale) and the (P, 2, 3) tangent basis.
+    """3 x 3 systems in (two tangent angles, albedo / scale), residuals over scale; the (P, 2, 3) tangent basis.
 
     The derivative by the normal is ``by_light l + by_view v``: sums over lights are matrix products.
     """
     outer = (lights[:, :, None] * lights[:, None, :]).reshape(-1, 9)
-    wl, wv, wr = weight * by_light, weight * by_view, weight * by_rho
+    relative = weight / scale**2  # brightness drops out: determinants of dim pixels would underflow
+    wl, wv, wr = relative * by_light, relative * by_view, relative * by_rho
     nn = ((wl * by_light) @ outer).reshape(-1, 3, 3)
     cross = (wl * by_view) @ lights
     nn[:, :, 2] += cross
@@ -219,7 +220,7 @@ def _linear(grey: Tensor, lights: Tensor, weight: Tensor) -> Tensor:
 
 def _upward(vector: Tensor) -> Tensor:
     """Unit vectors that face the camera; (0, 0, 1) for a zero vector."""
-    unit = F.normalize(vector + 1e-12 * vector.new_tensor((0.0, 0.0, 1.0)), dim=1)
+    unit = F.normalize(vector, dim=1, eps=torch.finfo(vector.dtype).tiny)
     return F.normalize(torch.cat((unit[:, :2], unit[:, 2:].clamp_min(MIN_NORMAL_Z)), 1), dim=1)
 
 
