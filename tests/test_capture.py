@@ -73,6 +73,12 @@ def test_lp_file_matches_by_name(capture_folder: Path) -> None:
         assert torch.allclose(capture.lights, plain.lights[order], atol=1e-6)
 
 
+def test_masks_of_zero_and_one(capture_folder: Path) -> None:
+    plain = load_capture(capture_folder).mask
+    write_image(capture_folder / "mask.png", plain.float() / 255)
+    assert torch.equal(load_capture(capture_folder).mask, plain)
+
+
 def test_lights_and_mask_kept_elsewhere(capture_folder: Path, tmp_path: Path) -> None:
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
@@ -94,8 +100,13 @@ def edit(name: str, change: Callable[[list[str]], list[str]]) -> Callable[[Path]
 @pytest.mark.parametrize(
     ("damage", "words"),
     [
-        (edit("light_directions.txt", lambda r: r[:-1]), "expected 12 lights, one per image, got 11; add"),
+        (
+            edit("light_directions.txt", lambda r: r[:-1]),
+            r"expected 12 lights, one per image \(001.png to 012.png\), got 11; add",
+        ),
         (edit("light_directions.txt", lambda r: [*r, r[0]]), "got 13; remove"),
+        (edit("light_directions.txt", lambda r: []), "empty file"),
+        (edit("light_directions.txt", lambda r: [f"{i + 1:03d}.png {x}" for i, x in enumerate(r)]), "have names"),
         (edit("light_directions.txt", lambda r: ["0 0", *r[1:]]), "entry 1.*3 numbers"),
         (edit("light_directions.txt", lambda r: [*r[:4], "a b c", *r[5:]]), "entry 5.*3 numbers"),
         (edit("light_directions.txt", lambda r: ["0 0 2", *r[1:]]), "entry 1.*unit.*length 2"),

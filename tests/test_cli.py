@@ -58,6 +58,23 @@ def test_stereo_writes_everything(orennayar: object, capture_folder: Path, tmp_p
     assert (out / "mesh.ply").exists()
 
 
+def test_results_of_an_earlier_run_do_not_mix(orennayar: object, capture_folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    orennayar("stereo", capture_folder, "-o", out)  # type: ignore[operator]
+    assert (out / "error.png").exists()
+    (capture_folder / "normal_gt.npy").unlink()
+    assert orennayar("stereo", capture_folder, "-o", out, "--least-squares").status == 0  # type: ignore[operator]
+    assert not any((out / name).exists() for name in ("error.png", "error.npy", "scores.png"))
+
+
+def test_a_bad_output_is_refused_before_the_work(orennayar: object, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    for command in (("stereo", "absent"), ("render", "absent.obj"), ("demo",)):
+        result = orennayar(*command, "-o", tmp_path / "file")  # type: ignore[operator]
+        assert result.status == 1
+        assert "expected a folder" in result.err
+
+
 def test_failed_stereo_leaves_nothing(orennayar: object, capture_folder: Path, tmp_path: Path) -> None:
     lights = capture_folder / "light_directions.txt"
     lights.write_text("\n".join(lights.read_text().splitlines()[:-1]))
@@ -102,6 +119,7 @@ def test_export_and_info(orennayar: object, tmp_path: Path) -> None:
         (("render", "absent.obj", "--model", "phong"), "expected one of"),
         (("render", "absent.obj", "--light", 0, 0, 0), "direction"),
         (("export", "graph.onnx", "--model", "phong"), "expected one of"),
+        (("stereo", "absent", "--least-squares", "--model", "vcavity"), "leave one"),
         (("info", "picture.png"), "onnx"),
         (("info", "absent.onnx"), "absent.onnx"),
     ],
@@ -132,4 +150,5 @@ def test_interruption_is_one_line(orennayar: object, monkeypatch: pytest.MonkeyP
     monkeypatch.setattr("torch_orennayar.demo.photometric_stereo", stop)
     result = orennayar("demo", "-o", tmp_path / "out", "--size", 32)  # type: ignore[operator]
     assert result.status == 130
+    assert "interrupted" in result.err
     assert list(tmp_path.iterdir()) == []

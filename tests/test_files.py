@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from torch_orennayar import FileError
-from torch_orennayar.files import atomic_directory, atomic_path
+from torch_orennayar.files import atomic_directory, atomic_path, check_output
 
 
 def test_files_appear_together_and_others_stay(tmp_path: Path) -> None:
@@ -59,3 +59,24 @@ def test_a_place_that_cannot_be_written(tmp_path: Path) -> None:
 def test_a_full_disk_is_one_error(tmp_path: Path) -> None:
     with pytest.raises(FileError, match="space"), atomic_directory(tmp_path / "out"):
         raise OSError(28, "No space left on device")
+
+
+def test_a_folder_where_a_file_must_go_stops_all_of_it(tmp_path: Path) -> None:
+    (tmp_path / "out" / "b.txt").mkdir(parents=True)
+
+    def write_three() -> None:
+        with atomic_directory(tmp_path / "out") as folder:
+            for name in ("a.txt", "b.txt", "c.txt"):
+                (folder / name).write_text("")
+
+    with pytest.raises(FileError, match=r"b\.txt"):
+        write_three()
+    assert [p.name for p in (tmp_path / "out").iterdir()] == ["b.txt"]
+
+
+def test_outputs_are_checked_before_the_work(tmp_path: Path) -> None:
+    check_output(tmp_path / "new")
+    assert list(tmp_path.iterdir()) == []
+    (tmp_path / "file").write_text("")
+    with pytest.raises(FileError, match="a folder"):
+        check_output(tmp_path / "file")

@@ -85,6 +85,9 @@ def test_decompression_bombs_are_refused(tmp_path: Path, monkeypatch: pytest.Mon
 def test_writing_leaves_no_part_behind(tmp_path: Path) -> None:
     with pytest.raises(FileError, match="png"):
         write_image(tmp_path / "picture.xyz", torch.zeros(3, 2, 2))
+    for name, bits in (("picture.jpg", 16), ("picture.bmp", 16), ("picture.png", 12)):
+        with pytest.raises(FileError, match="bits"):
+            write_image(tmp_path / name, torch.zeros(3, 2, 2), bits=bits)
     with pytest.raises(ShapeError, match="image"):
         write_image(tmp_path / "picture.png", torch.zeros(2, 2, 2))
     assert list(tmp_path.iterdir()) == []

@@ -33,6 +33,11 @@ def test_quads_are_split_and_seams_are_joined(tmp_path: Path) -> None:
     assert faces.shape == (4, 3)
 
 
+def test_comments_in_other_encodings(tmp_path: Path) -> None:
+    (tmp_path / "latin.obj").write_bytes(b"# cr\xe9\xe9\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    assert load_mesh(tmp_path / "latin.obj")[0].shape == (3, 3)
+
+
 def test_colours_are_written(tmp_path: Path) -> None:
     save_mesh(tmp_path / "c.ply", torch.eye(3), torch.tensor([[0, 1, 2]]), torch.tensor([[1.0, 0, 0]]).expand(3, 3))
     assert trimesh.load_mesh(tmp_path / "c.ply").visual.vertex_colors[0].tolist() == [255, 0, 0, 255]

@@ -36,9 +36,24 @@ def test_a_pixel_of_the_mask_where_nothing_was_found_counts_as_180() -> None:
     a = torch.tensor([0.0, 0, 1]).reshape(3, 1, 1).repeat(1, 1, 2)
     b = a.clone()
     b[:, 0, 0] = 0
-    error = angular_error(a, b, torch.tensor([[[True, True]]]))
+    error = angular_error(b, a, torch.tensor([[[True, True]]]))
     assert error.flatten().tolist() == [180.0, 0.0]
-    assert angular_error(a, b, torch.tensor([[[False, True]]])).summary()["mean"] == 0
+    assert angular_error(b, a, torch.tensor([[[False, True]]])).summary()["mean"] == 0
+
+
+@pytest.mark.parametrize("unknown", [0.0, math.nan])
+def test_pixels_without_truth_are_left_out(unknown: float) -> None:
+    estimate = torch.tensor([0.0, 0, 1]).reshape(3, 1, 1).repeat(1, 1, 2)
+    truth = estimate.double()
+    truth[:, 0, 0] = unknown
+    error = angular_error(estimate, truth, torch.ones(1, 1, 2, dtype=torch.bool))
+    assert error.isnan().flatten().tolist() == [True, False]
+    assert error.summary()["mean"] == 0
+
+
+def test_half_precision() -> None:
+    n = torch.tensor([0.0, 0, 1]).half()
+    assert angular_error(n, n, dim=-1).item() == 0
 
 
 def test_it_is_a_tensor() -> None:

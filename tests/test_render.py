@@ -116,6 +116,63 @@ def test_given_vertex_normals_are_used() -> None:
     assert torch.allclose(seen.normal[0][:, seen.mask[0, 0]], wanted, atol=1e-6)
 
 
+def test_given_normals_stay_where_the_winding_is_inverted() -> None:
+    vertices, faces = sphere(3)
+    one, other = (
+        render_normals(vertices, f, Camera.orthographic(), (32, 32), vertex_normals=vertices)
+        for f in (faces, faces.flip(1))
+    )
+    assert torch.allclose(one.normal, other.normal, atol=1e-6)
+
+
+def test_computed_normals_face_the_viewer_whatever_the_winding() -> None:
+    vertices, faces = sphere(3)
+    one, other = (render_normals(vertices, f, Camera.orthographic(), (32, 32)) for f in (faces, faces.flip(1)))
+    assert torch.allclose(one.normal, other.normal, atol=1e-6)
+
+
+def test_cancelling_normals_fall_back_to_the_face() -> None:
+    vertices = torch.tensor([[-1.0, -1, 0], [3, -1, 0], [-1, 3, 0]])
+    faces = torch.tensor([[0, 1, 2], [2, 1, 0]])
+    seen = render_normals(vertices, faces, Camera.orthographic(), (4, 4))
+    assert (seen.normal[:, 2] == 1).all()
+
+
+def test_behind_the_eye_of_an_orthographic_camera_nearer_is_still_nearer() -> None:
+    """Depths from -3 to 1: the key of the depth buffer must keep the order of negative numbers."""
+    sheet = torch.tensor([[-1.0, -1], [3, -1], [-1, 3]])
+    heights = (3.0, 5.0, 1.0, 4.5)
+    vertices = torch.cat([torch.cat((sheet, torch.full((3, 1), h)), 1) for h in heights])
+    seen = render_normals(vertices, torch.arange(12).reshape(4, 3), Camera.orthographic(), (4, 4))
+    assert (seen.face == 1).all()
+    assert (seen.depth == -3).all()
+
+
+def test_near_plane_cuts() -> None:
+    vertices = torch.tensor([[-9.0, -9, -1], [9, -9, -1], [0, 9, -1], [-9.0, -9, -3], [9, -9, -3], [0, 9, -3]])
+    faces = torch.tensor([[0, 1, 2], [3, 4, 5]])
+    for near, face in ((0.5, 0), (2.0, 1)):
+        seen = render_normals(vertices, faces, Camera.perspective(1.0, (0, 0, 0.0), (0, 0, -1.0), near=near), (8, 8))
+        assert (seen.face == face).all()
+
+
+def test_coincident_vertices_give_finite_gradients() -> None:
+    ball = trimesh.creation.icosphere(1)
+    vertices = torch.cat((torch.tensor(ball.vertices), torch.tensor(ball.vertices[5:6]))).requires_grad_()
+    faces = torch.cat((torch.tensor(ball.faces), torch.tensor([[5, len(vertices) - 1, 7]])))
+    render_normals(vertices, faces, Camera.orthographic(1.2), (16, 16)).normal.sum().backward()
+    assert vertices.grad is not None
+    assert vertices.grad.isfinite().all()
+
+
+def test_large_triangles_are_searched_in_parts(monkeypatch: pytest.MonkeyPatch) -> None:
+    vertices, faces = sphere(2)
+    whole = render_normals(vertices * 3, faces, Camera.perspective(1.4, (0, 0, 3.5)), (40, 40))
+    monkeypatch.setattr("torch_orennayar.render.FRAGMENTS", 37)
+    parts = render_normals(vertices * 3, faces, Camera.perspective(1.4, (0, 0, 3.5)), (40, 40))
+    assert torch.equal(whole.face, parts.face)
+
+
 def test_barycentric_weights_rebuild_the_surface_point() -> None:
     vertices, faces = sphere(2)
     camera = Camera.perspective(0.9, (0.5, 0.4, 2.5))
@@ -202,6 +259,10 @@ def test_gradients_reach_vertex_normals() -> None:
     [
         ({"vertices": torch.full((3, 3), torch.nan)}, RangeError, "clean"),
         ({"vertices": torch.zeros(3)}, ShapeError, "vertices"),
+        ({"vertices": torch.eye(3).long()}, ShapeError, "floating"),
+        ({"vertices": torch.zeros(0, 3, 3)}, ShapeError, "empty"),
+        ({"vertex_normals": torch.full((3, 3), torch.nan)}, RangeError, "vertex_normals"),
+        ({"vertex_normals": torch.zeros(2, 3, 3)}, ShapeError, "vertex_normals"),
         ({"faces": torch.tensor([[0, 1, 3]])}, RangeError, "0 to 2"),
         ({"faces": torch.tensor([[0, -1, 2]])}, RangeError, "faces"),
         ({"faces": torch.tensor([[0, 1, 2]]).int()}, ShapeError, "int64"),

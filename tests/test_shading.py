@@ -235,10 +235,104 @@ def test_learnable_parameters_receive_gradients_through_the_layer() -> None:
     assert (albedo.grad > 0).all()
 
 
-def test_vmap_and_compile_free_checks() -> None:
-    normal, light, view, albedo, roughness = facing_scene()
-    batched = torch.func.vmap(lambda *a: oren_nayar(*(t[None] for t in a))[0])(normal, light, view, albedo, roughness)
-    assert torch.allclose(batched, oren_nayar(normal, light, view, albedo, roughness))
+def test_vmap() -> None:
+    scene = facing_scene()
+    batched = torch.func.vmap(lambda *a: oren_nayar(*(t[None] for t in a))[0])(*scene)
+    assert torch.allclose(batched, oren_nayar(*scene))
+
+
+@pytest.mark.parametrize("model", ALL)
+def test_second_derivatives_and_forward_mode(model: str) -> None:
+    inputs = [t.requires_grad_() for t in facing_scene()]
+    assert torch.autograd.gradgradcheck(lambda *a: oren_nayar(*a, model=model), inputs)
+    assert gradcheck(lambda *a: oren_nayar(*a, model=model), inputs, check_forward_ad=True, check_backward_ad=False)
+
+
+@pytest.mark.parametrize("model", ALL)
+def test_compiles_in_one_graph_with_gradients(model: str) -> None:
+    """A background of NaN too: checks are off inside a graph, and it must still reach no gradient."""
+    layer = OrenNayar(model)
+    compiled = torch.compile(layer, fullgraph=True, backend="aot_eager", dynamic=True)
+    for size in (5, 9):
+        normal = unit(1, 3, size, size, seed=3).float()
+        normal[..., 0, 0] = 0
+        albedo = torch.full((1, 1, size, size), 0.5)
+        sigmas = [torch.tensor(0.4, requires_grad=True) for _ in range(2)]
+        wanted = layer(normal, UP[None], albedo=albedo, roughness=sigmas[0])
+        albedo = albedo.index_put((torch.tensor(0),) * 4, torch.tensor(torch.nan))
+        found = compiled(normal, UP[None], albedo=albedo, roughness=sigmas[1])
+        wanted.sum().backward()
+        found.sum().backward()
+        assert torch.allclose(found, wanted, atol=1e-6)
+        assert sigmas[0].grad is not None
+        assert sigmas[1].grad is not None
+        assert torch.allclose(sigmas[1].grad, sigmas[0].grad, rtol=1e-4)
+
+
+def test_torch_export() -> None:
+    normal, light = unit(2, 3, 4, 5).float(), unit(2, 3).float()
+    program = torch.export.export(OrenNayar("vcavity"), (normal, light), {"roughness": torch.tensor(0.4)})
+    found = program.module()(normal, light, roughness=torch.tensor(0.4))
+    assert torch.allclose(found, OrenNayar("vcavity")(normal, light, roughness=0.4), atol=1e-6)
+
+
+def test_torch_export_with_dynamic_batch_and_size() -> None:
+    batch, height, width = (torch.export.Dim(name, min=2) for name in ("batch", "height", "width"))
+    image = {0: batch, 2: height, 3: width}
+    shapes = {"normal": image, "light": {0: batch}, "albedo": image, "roughness": None}
+    example = {
+        "normal": unit(3, 3, 4, 5).float(),
+        "light": unit(3, 3).float(),
+        "albedo": torch.rand(3, 3, 4, 5),
+        "roughness": torch.tensor(0.4),
+    }
+    program = torch.export.export(OrenNayar("vcavity"), (), example, dynamic_shapes=shapes)
+    other = example | {
+        "normal": unit(2, 3, 7, 6).float(),
+        "light": unit(2, 3).float(),
+        "albedo": torch.rand(2, 3, 7, 6),
+    }
+    assert torch.allclose(program.module()(**other), OrenNayar("vcavity")(**other), atol=1e-6)
+
+
+def test_strides_do_not_matter() -> None:
+    normal, light, view, albedo, roughness = random_scene()
+    plain = oren_nayar(normal, light, view, albedo, roughness)
+    assert torch.equal(
+        oren_nayar(normal.contiguous(memory_format=torch.channels_last), light, view, albedo, roughness), plain
+    )
+    assert torch.equal(oren_nayar(normal, light.expand(2, 3, 4, 5), view.expand(2, 3, 4, 5), albedo, roughness), plain)
+
+
+def test_float16_gradients_saturate() -> None:
+    """Both directions a hair above the horizon, where the true gradient exceeds the format."""
+    grazing = torch.tensor([[1.0, 0, 6e-8]])
+    for model in ALL:
+        light, view = (grazing.half().requires_grad_() for _ in range(2))
+        oren_nayar(UP[None].half(), light, view, 0.5, 0.5, model=model).float().sum().backward()
+        for leaf in (light, view):
+            assert leaf.grad is not None
+            assert leaf.grad.isfinite().all()
+
+
+def test_grazing_values_are_not_floored() -> None:
+    """The guard of the cosines must lie far below any cosine that shows."""
+    for cosine in (1e-3, 1e-5, 1e-7):
+        low = torch.tensor([[math.sqrt(1 - cosine**2), 0, cosine]]).double()
+        value = oren_nayar(UP[None].double(), low, low, 0.5, 0.5, model="qualitative").item()
+        assert value == pytest.approx(
+            oracles.angle_form("qualitative", *[math.acos(cosine)] * 2, 0, 0.5, 0.5) * cosine, rel=1e-6
+        )
+
+
+@pytest.mark.parametrize("model", ALL)
+def test_directional_albedo_is_differentiable_up_to_the_frontal_view(model: str) -> None:
+    cosine = torch.tensor([0.2, 0.7, 1.0], requires_grad=True)
+    sigma = torch.tensor(0.4, requires_grad=True)
+    directional_albedo(cosine, 0.8, sigma, model=model).sum().backward()
+    for leaf in (cosine, sigma):
+        assert leaf.grad is not None
+        assert leaf.grad.isfinite().all()
 
 
 def test_empty_batch() -> None:
@@ -267,6 +361,25 @@ def test_point_light_at_the_surface_is_dark_with_finite_gradients() -> None:
     assert points.grad.isfinite().all()
 
 
+def test_point_light_beside_background_and_in_half_precision() -> None:
+    """Points from a depth map that is infinite outside the mask."""
+    points = torch.tensor([0.1, 0.2, -2.0]).reshape(1, 3, 1, 1).repeat(1, 1, 1, 2)
+    points[..., 1] = torch.inf
+    position = torch.tensor([0.5, 0.4, 1.0]).reshape(1, 3, 1, 1).requires_grad_()
+    normal = UP.reshape(1, 3, 1, 1).repeat(1, 1, 1, 2) * torch.tensor([1.0, 0.0])
+    light, irradiance = point_light(points, position, 4.0)
+    value = oren_nayar(normal, light, UP.reshape(1, 3, 1, 1), 0.8, 0.4, irradiance=irradiance)
+    value.sum().backward()
+    assert value.flatten()[0] > 0
+    assert value.flatten()[1] == 0
+    assert position.grad is not None
+    assert position.grad.isfinite().all()
+    far = torch.tensor([0.0, 0, 300]).half().reshape(1, 3, 1, 1)
+    light, irradiance = point_light(torch.zeros(1, 3, 1, 1).half(), far, 6e4)
+    assert light.flatten().tolist() == [0, 0, 1]
+    assert irradiance.item() == pytest.approx(6e4 / 9e4, rel=1e-3)
+
+
 def test_point_light_gradients() -> None:
     points = unit(1, 3, 2, 2).requires_grad_()
     position = torch.tensor([0.5, 0.4, 3.0]).double().reshape(1, 3, 1, 1).requires_grad_()
@@ -284,6 +397,12 @@ def test_point_light_gradients() -> None:
         ({"roughness": torch.full((1, 1, 2, 2), torch.nan)}, RangeError, "NaN"),
         ({"roughness": torch.zeros(1, 3, 1, 1)}, ShapeError, "roughness"),
         ({"albedo": -0.5}, RangeError, "albedo"),
+        ({"albedo": float("inf")}, RangeError, "finite"),
+        ({"irradiance": float("inf")}, RangeError, "infinite"),
+        ({"irradiance": torch.ones(1, 2, 1, 1), "albedo": torch.ones(1, 3, 1, 1)}, ShapeError, "channel"),
+        ({"normal": torch.tensor([0, 0, 1]).reshape(1, 3, 1, 1)}, ShapeError, "floating"),
+        ({"normal": 2 * UP.reshape(1, 3, 1, 1)}, RangeError, "unit"),
+        ({"view": [0, 0, 1]}, ShapeError, "floating"),
         ({"albedo": torch.rand(3)}, ShapeError, "albedo"),
         ({"albedo": torch.rand(1, 3, 5, 5)}, ShapeError, "albedo"),
         ({"light": torch.tensor([1.0, 1, 1]).reshape(1, 3, 1, 1)}, RangeError, "unit"),
@@ -307,6 +426,28 @@ def test_bad_input_names_argument_and_mend(change: dict[str, object], error: typ
     }
     with pytest.raises(error, match=words):
         oren_nayar(**(arguments | change))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        {"albedo": torch.rand(4, 5)},
+        {"albedo": torch.rand(2)},
+        {"albedo": torch.rand(3, 3)},
+        {"irradiance": torch.rand(7)},
+        {"irradiance": torch.rand(2, 7)},
+        {"irradiance": torch.rand(2, 6, 1)},
+        {"irradiance": torch.rand(2, 4, 4, 5), "albedo": torch.rand(2, 3)},
+        {"roughness": torch.rand(2)},
+        {"roughness": torch.rand(2, 3)},
+        {"light": unit(4, 5, 3, dim=2).float()},
+        {"view": unit(3, 3).float()},
+    ],
+)
+def test_layer_does_not_misread_plausible_calls(arguments: dict[str, Tensor]) -> None:
+    scene: dict[str, Tensor] = {"normal": unit(2, 3, 4, 5).float(), "light": unit(2, 7, 3, dim=2).float()}
+    with pytest.raises(ShapeError):
+        OrenNayar()(**(scene | arguments))
 
 
 def test_layer_refuses_layouts_it_does_not_know() -> None:

@@ -23,6 +23,7 @@ from torch_orennayar import (
 )
 from torch_orennayar._robust_fit import solve3
 from torch_orennayar.demo import spiral_lights
+from torch_orennayar.stereo import _hold_out
 
 
 def mean_error(found: Reconstruction, scene: Scene) -> float:
@@ -142,6 +143,42 @@ def test_few_lights(smooth: Scene) -> None:
     assert angular_error(found.normal, normal[0], lit).summary()["mean"] < 0.1
 
 
+def test_three_lights_give_no_confidence(smooth: Scene) -> None:
+    lights = F.normalize(torch.tensor([[0.0, 0.4, 1], [0.4, -0.2, 1], [-0.4, -0.2, 1]]), dim=1)
+    found = photometric_stereo(torch.rand(3, 1, 4, 4) + 0.5, lights)
+    assert (found.confidence == 0).all()
+    assert any("confidence" in line for line in found.report)
+
+
+def test_confidence_ranks_noise(smooth: Scene) -> None:
+    """Left half clean, right half with ten times the noise: its confidence is lower, and it spreads over [0, 1]."""
+    generator = torch.Generator().manual_seed(4)
+    noise = torch.randn(smooth.images.shape, generator=generator) * 0.1
+    noise[..., :32] = 0
+    found = photometric_stereo((smooth.images + noise).clamp_min(0), smooth.lights, smooth.mask, model="lambert")
+    left, right = found.confidence[..., :32][smooth.mask[..., :32]], found.confidence[..., 32:][smooth.mask[..., 32:]]
+    assert left.median() > 0.7
+    assert right.median() < 0.3
+
+
+def test_held_out_lights_leave_a_solvable_rest() -> None:
+    """Eight lights of which six lie in one plane: whatever is held out, the rest must span space."""
+    plane = [[math.sin(a), 0, math.cos(a)] for a in (-0.9, -0.5, -0.2, 0.2, 0.5, 0.9)]
+    lights = torch.tensor([plane[0], [0, 0.6, 0.8], *plane[1:4], [0, -0.6, 0.8], *plane[4:]])
+    for seed in range(20):
+        held = _hold_out(lights, seed)
+        assert held is not None
+        assert held.sum() == 2
+        assert torch.linalg.matrix_rank(lights[~held]) == 3
+
+
+def test_roughness_beyond_the_search_says_so(rough: Scene) -> None:
+    normal, lights = rough.normal[None], rough.lights[None]
+    images = OrenNayar("vcavity")(normal, lights, albedo=0.5, roughness=math.radians(88))[0]
+    found = photometric_stereo(images, rough.lights, rough.mask, model="vcavity")
+    assert any("end of the search" in line for line in found.report)
+
+
 def test_close_lights_warn() -> None:
     lights = F.normalize(torch.tensor([[0.12, 0, 1], [-0.06, 0.1, 1], [-0.06, -0.1, 1]]), dim=1)
     with pytest.warns(UserWarning, match="condition number"):
@@ -170,6 +207,10 @@ GOOD_LIGHTS = spiral_lights(6)
         ({"mask": torch.zeros(1, 4, 4, dtype=torch.bool)}, CaptureError, "mask"),
         ({"mask": torch.ones(1, 4, 4)}, ShapeError, "bool"),
         ({"mask": torch.ones(1, 4, 5, dtype=torch.bool)}, ShapeError, "mask"),
+        ({"images": torch.zeros(6, 1, 4, 4)}, CaptureError, "at least 3 lights reach"),
+        ({"images": torch.ones(6, 1, 4, 4).byte()}, ShapeError, "floating"),
+        ({"images": torch.rand(6, 0, 4, 4)}, ShapeError, "images"),
+        ({"lights": GOOD_LIGHTS * torch.tensor([1.0, -1, -1])}, CaptureError, "swap_opencv_frame"),
         ({"model": "phong"}, ModelError, "vcavity"),
         ({"model": "vcavity", "robust": False}, CaptureError, "robust"),
         ({"images": torch.rand(4, 1, 4, 4), "lights": GOOD_LIGHTS[:4], "model": "vcavity"}, CaptureError, "at least 5"),

@@ -48,6 +48,28 @@ def check_broadcast(axis_from_end: int, **values: Tensor | float) -> None:
         ) from mismatch
 
 
+def check_channels(axis_from_end: int, **values: Tensor | float) -> None:
+    """Tensors among ``values`` have an axis for channels, and those with several channels have equally many."""
+    counts = {}
+    for name, value in values.items():
+        if isinstance(value, Tensor) and value.ndim > 0:
+            if value.ndim < -axis_from_end:
+                raise ShapeError(
+                    name,
+                    expected=f"an axis of channels at {axis_from_end}",
+                    got=f"shape {tuple(value.shape)}",
+                    mend="reshape it so that it broadcasts, e.g. albedo.reshape(1, 3, 1, 1)",
+                )
+            counts[name] = value.shape[axis_from_end]
+    if checking() and len(set(counts.values()) - {1}) > 1:  # comparing sizes would fix them in a graph
+        raise ShapeError(
+            ", ".join(counts),
+            expected="1 or equally many channels",
+            got=", ".join(str(c) for c in counts.values()),
+            mend="give them one channel count",
+        )
+
+
 def check_range(argument: str, value: Tensor | float, low: float, high: float, mend: str) -> None:
     """Every number of ``value`` lies in [low, high]; NaN does not."""
     if not checking():
@@ -61,28 +83,46 @@ def check_range(argument: str, value: Tensor | float, low: float, high: float, m
             return
     else:
         least = most = float(value)
-    if not (low <= least and most <= high):
+    if not (low <= least and most <= high and math.isfinite(most)):
         raise RangeError(
             argument,
-            expected=f"values in [{low:g}, {high:g}]" if math.isfinite(high) else f"values >= {low:g}",
+            expected=f"values in [{low:g}, {high:g}]" if math.isfinite(high) else f"finite values >= {low:g}",
             got="NaN" if math.isnan(least) or math.isnan(most) else f"{least:g} to {most:g}",
             mend=mend,
         )
 
 
-def check_unit(argument: str, vectors: Tensor, dim: int) -> None:
-    """Directions given by hand are of unit length (maps are trusted: background is zero there)."""
-    if not checking() or vectors.numel() > HAND_SIZED or vectors.shape.count(3) == 0:
+def check_unit(argument: str, vectors: Tensor, dim: int, *, gaps: bool = True) -> None:
+    """Directions given by hand are of unit length; ``gaps`` allows zero or non-finite ones, as maps have.
+
+    Larger tensors are maps that some function made, and are trusted.
+    """
+    if not checking() or vectors.numel() > HAND_SIZED or vectors.numel() == 0:
         return
-    length = vectors.detach().float().norm(dim=dim)
+    length = vectors.detach().double().norm(dim=dim)
+    wrong = ~((length - 1).abs() <= 0.02)
+    if gaps:
+        wrong &= length.isfinite() & (length > 0)
     try:
-        wrong = bool(((length - 1).abs() > 0.02).any() or length.isnan().any())
+        found = bool(wrong.any())
     except RuntimeError:  # inside vmap values cannot be looked at
         return
-    if wrong:
+    if found:
         raise RangeError(
             argument,
             expected="unit vectors",
-            got=f"lengths {float(length.min()):.3g} to {float(length.max()):.3g}",
+            got=f"length {length[wrong][0].item():.3g}",
             mend="use torch.nn.functional.normalize; for a light's position use point_light",
         )
+
+
+def check_floating(**values: object) -> None:
+    """All values are floating-point tensors."""
+    for argument, value in values.items():
+        if not isinstance(value, Tensor) or not value.is_floating_point():
+            raise ShapeError(
+                argument,
+                expected="a floating-point tensor",
+                got=str(value.dtype) if isinstance(value, Tensor) else type(value).__name__,
+                mend="use torch.as_tensor(..., dtype=torch.float32)",
+            )

@@ -6,6 +6,7 @@ Observations are (P, K): P pixels, K lights. The view is orthographic, (0, 0, 1)
 from __future__ import annotations
 
 import math
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import torch
@@ -15,8 +16,13 @@ from torch import Tensor
 from .progress import track
 from .reflectance import ModelFunction, get_model
 
-CHUNK = 1024
-"""Pixels solved together: the (CHUNK, K) temporaries stay in cache."""
+CHUNK = 120_000
+"""Observations solved together: temporaries stay in cache.
+
+Chunks run side by side on as many threads as torch has: on a busy machine that is several times faster than
+one chunk after the other, where every operation waits for all threads.
+"""
+CHUNK_ACCELERATOR = 20_000_000
 SHADOW = 0.08
 """Observations below this share of a pixel's 90th percentile count as shadow."""
 MIN_LIGHTS_RANKED = 10
@@ -60,19 +66,22 @@ def fit(
     ``start`` continues from an earlier fit of the same pixels.
     """
     every_lit = model != "lambert" if lit_only is None else lit_only
-    starts = range(0, len(grey), CHUNK)
-    parts = [
-        _fit_chunk(
-            grey[i : i + CHUNK],
-            lights,
-            get_model(model).function,
-            every_lit,
-            sigma,
-            steps,
-            None if start is None else (start.normal[i : i + CHUNK], start.albedo[i : i + CHUNK]),
-        )
-        for i in (track(starts, show, len(starts)) if show else starts)
-    ]
+    function = get_model(model).function
+    size = max(1, (CHUNK if grey.device.type == "cpu" else CHUNK_ACCELERATOR) // len(lights))
+    starts = range(0, len(grey), size)
+
+    @torch.no_grad()  # threads do not inherit it
+    def solve(i: int) -> PixelFit:
+        begin = None if start is None else (start.normal[i : i + size], start.albedo[i : i + size])
+        return _fit_chunk(grey[i : i + size], lights, function, every_lit, sigma, steps, begin)
+
+    with ThreadPoolExecutor(torch.get_num_threads()) as pool:
+        try:
+            solved = pool.map(solve, starts)
+            parts = list(track(solved, show, len(starts)) if show else solved)
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
     return PixelFit(*(torch.cat([getattr(p, name) for p in parts]) for name in PixelFit.__dataclass_fields__))
 
 

@@ -92,7 +92,7 @@ class Camera:
             torch.Size([1, 2])
         """
         extent = torch.as_tensor(half_height, dtype=_dtype(half_height, eye, target))
-        if not bool((extent > 0).all()):
+        if not bool(((extent > 0) & extent.isfinite()).all()):
             raise RangeError("half_height", expected="a positive size", got=str(half_height), mend="use e.g. 1.0")
         return _look_at(eye, target, up, 1 / extent, perspective=False)
 
@@ -158,9 +158,14 @@ class Camera:
         if k.shape[1:] != (3, 3):
             raise ShapeError("intrinsics", expected="(3, 3) or (B, 3, 3)", got=str(tuple(intrinsics.shape)), mend="fix")
         focal = torch.stack((k[:, 0, 0], k[:, 1, 1]), 1)
-        if not bool((focal > 0).all()) or bool((k[:, 0, 1] != 0).any()):
+        last_row = k[:, 2] == k.new_tensor((0.0, 0.0, 1.0))
+        sound = bool((focal > 0).all()) and bool(k.isfinite().all()) and bool(last_row.all())
+        if not sound or bool((k[:, 0, 1] != 0).any()):
             raise RangeError(
-                "intrinsics", expected="positive focal lengths and no skew", got=str(k[0].tolist()), mend="rectify"
+                "intrinsics",
+                expected="finite, positive focal lengths, no skew, last row 0 0 1",
+                got=str(k[0].tolist()),
+                mend="rectify",
             )
         half = size[0] / 2
         right = (k[:, 0, 2] + 0.5 - size[1] / 2) / half
@@ -293,13 +298,23 @@ def _dtype(*values: object) -> torch.dtype:
     return kinds[0] if kinds else torch.get_default_dtype()
 
 
+def _vectors(name: str, value: Vector) -> Tensor:
+    """(3,) or (B, 3) as (B, 3)."""
+    vectors = torch.as_tensor(value)
+    if vectors.ndim not in (1, 2) or vectors.shape[-1] != 3:
+        raise ShapeError(name, expected="(3,) or (B, 3)", got=str(tuple(vectors.shape)), mend="give x, y, z")
+    return vectors.reshape(-1, 3)
+
+
 def _look_at(
     eye: Vector, target: Vector, up: Vector, focal: Tensor, *, perspective: bool, near: float = 1e-2
 ) -> Camera:
-    place, goal, upward = (torch.as_tensor(v).to(focal).reshape(-1, 3) for v in (eye, target, up))
+    device = next((v.device for v in (eye, target, up) if isinstance(v, Tensor)), focal.device)
+    focal = focal.to(device)
+    place, goal, upward = (_vectors(name, v).to(focal) for name, v in (("eye", eye), ("target", target), ("up", up)))
     back = place - goal
     right = torch.linalg.cross(*torch.broadcast_tensors(upward, back))
-    degenerate = right.norm(dim=1) <= 1e-6 * back.norm(dim=1) * upward.norm(dim=1)
+    degenerate = ~(right.norm(dim=1) > 1e-6 * back.norm(dim=1) * upward.norm(dim=1))
     if bool(degenerate.any()):
         raise RangeError(
             "eye, target, up",

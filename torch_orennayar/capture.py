@@ -58,7 +58,7 @@ def load_capture(
     Looked for in the folder: ``filenames.txt`` (else every image but the mask, in natural order);
     ``light_directions.txt`` or ``lights.txt`` (a line ``x y z`` per image, an image's name may stand
     first) or one ``*.lp``; ``light_intensities.txt`` (1 or 3 numbers per line, default 1); ``mask.png``
-    (default all pixels); ``Normal_gt.mat`` or ``normal_gt.npy`` ((H, W, 3), truth).
+    (brighter than half its maximum; default all pixels); ``Normal_gt.mat`` or ``normal_gt.npy`` ((H, W, 3), truth).
 
     Args:
         path: the folder, or an ``.lp`` file beside its images.
@@ -146,6 +146,8 @@ def _find_light_file(source: Path) -> Path:
     if source.is_file():
         return source
     found = [source / name for name in LIGHT_FILES if (source / name).is_file()] or sorted(source.glob("*.lp"))
+    if len(found) > 1 and found[0].suffix == ".lp":
+        raise FileError(str(source), expected="one .lp file", got=str(len(found)), mend="name the one that counts")
     if not found:
         raise FileError(
             str(source),
@@ -171,6 +173,8 @@ def _lines(file: Path) -> list[list[str]]:
 def _pair(folder: Path, light_file: Path, mask_file: Path) -> tuple[list[Path], Tensor]:
     """Image files and their light directions, matched by name where the light file has names."""
     rows = _lines(light_file)
+    if not rows:
+        raise FileError(str(light_file), expected="one line 'x y z' per image", got="an empty file", mend="fill it")
     if rows and len(rows[0]) == 1:  # .lp files begin with their count
         count = rows.pop(0)[0]
         if count != str(len(rows)):
@@ -190,12 +194,22 @@ def _pair(folder: Path, light_file: Path, mask_file: Path) -> tuple[list[Path], 
             mend=f"divide it by its length; intensities belong into {INTENSITY_FILES[0]}",
         )
     files = [_inside(folder, name) for name in named] or _image_files(folder, mask_file)
+    if named and (extra := _intensity_file(folder)):
+        raise FileError(
+            str(extra),
+            expected="no intensities beside lights that have names",
+            got="lines without names, which may be in another order",
+            mend="remove it, or give the lights without names, in the order of the images",
+        )
     if len(files) != len(rows):
+        listed = f"{files[0].name} to {files[-1].name}" if files else "none"
         raise FileError(
             str(light_file),
-            expected=f"{len(files)} lights, one per image",
+            expected=f"{len(files)} lights, one per image ({listed})",
             got=str(len(rows)),
-            mend="add the missing lines" if len(rows) < len(files) else "remove the lines that have no image",
+            mend="add the missing lines, or list the images that count in filenames.txt"
+            if len(rows) < len(files)
+            else "remove the lines that have no image",
         )
     return files, (directions / length).float()
 
@@ -208,15 +222,11 @@ def _image_files(folder: Path, mask_file: Path) -> list[Path]:
     def natural(file: Path) -> list[tuple[int, str]]:
         return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", file.name)]
 
-    reserved = ("mask", "normal")
-    return sorted(
-        (
-            f
-            for f in folder.iterdir()
-            if f.suffix.lower() in IMAGE_SUFFIXES and f != mask_file and not f.stem.lower().startswith(reserved)
-        ),
-        key=natural,
-    )
+    def is_photograph(file: Path) -> bool:
+        hidden = file.name.startswith(".") or file.stem.lower() == "mask" or file.resolve() == mask_file.resolve()
+        return file.suffix.lower() in IMAGE_SUFFIXES and not hidden
+
+    return sorted(filter(is_photograph, folder.iterdir()), key=natural)
 
 
 def _inside(folder: Path, name: str) -> Path:
@@ -284,8 +294,12 @@ def _read_images(files: list[Path], encoding: str, notes: list[str]) -> Tensor:
     return result
 
 
+def _intensity_file(folder: Path) -> Path | None:
+    return next((folder / name for name in INTENSITY_FILES if (folder / name).is_file()), None)
+
+
 def _read_intensities(folder: Path, count: int, notes: list[str]) -> Tensor:
-    file = next((folder / name for name in INTENSITY_FILES if (folder / name).is_file()), None)
+    file = _intensity_file(folder)
     if file is None:
         notes.append("no light intensities: all lights taken as equally bright.")
         return torch.ones(count, 3)
@@ -312,7 +326,7 @@ def _read_mask(file: Path, size: tuple[int, int], *, required: bool, notes: list
             got=f"{array.shape[1]} x {array.shape[0]}",
             mend="crop or resize the mask",
         )
-    mask = torch.from_numpy(array > 0.5)[None]
+    mask = torch.from_numpy(array > array.max() / 2)[None]  # also for masks of 0 and 1
     if not bool(mask.any()):
         raise FileError(str(file), expected="some white pixels", got="an empty mask", mend="paint the object white")
     return mask

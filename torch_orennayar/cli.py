@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from .errors import FileError, RangeError, TorchOrenNayarError
+from .files import check_output
 from .progress import say
 
 app = typer.Typer(
@@ -24,6 +25,9 @@ app = typer.Typer(
 out = Console(highlight=False, soft_wrap=True)
 err = Console(stderr=True, highlight=False, soft_wrap=True)
 
+INTERRUPTED = 130
+"""The exit status of a command that was stopped with Ctrl-C."""
+
 Output = Annotated[Path, typer.Option("-o", "--output", help="Folder for the results.")]
 ModelName = Annotated[str, typer.Option(help="Reflectance model; `orennayar info` lists them.")]
 Roughness = Annotated[float, typer.Option(help="Roughness in degrees, 0 to 90.", min=0, max=90)]
@@ -33,11 +37,12 @@ Roughness = Annotated[float, typer.Option(help="Roughness in degrees, 0 to 90.",
 def demo(
     output: Output = Path("out"),
     size: Annotated[int, typer.Option(help="Height and width of the pictures.", min=32, max=1024)] = 256,
-    seed: Annotated[int, typer.Option(help="Seed of the noise.")] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of the noise.", min=0, max=2**63 - 1)] = 0,
 ) -> None:
     """Render a rough object, recover it from the pictures, and write a report."""
     from .demo import run_demo
 
+    check_output(output)
     numbers = run_demo(output, size=size, seed=seed)
     table = Table("solved with", "normal error, mean", "roughness (truth 30)", "albedo error")
     for name, n in numbers.items():
@@ -64,8 +69,10 @@ def render(
         0.86,
     ),
     model: ModelName = "vcavity",
-    size: Annotated[int, typer.Option(help="Height and width in pixels.", min=1, max=8192)] = 512,
-    azimuth: Annotated[float, typer.Option(help="Degrees that the camera walks to the right around the mesh.")] = 0.0,
+    size: Annotated[int, typer.Option(help="Height and width in pixels.", min=1, max=4096)] = 512,
+    azimuth: Annotated[
+        float, typer.Option(help="Degrees that the camera walks to the right.", min=-360, max=360)
+    ] = 0.0,
     elevation: Annotated[float, typer.Option(help="Degrees that it climbs.", min=-89, max=89)] = 0.0,
     fov: Annotated[
         float | None, typer.Option(help="Vertical field of view in degrees; default orthographic.", min=1, max=170)
@@ -81,6 +88,7 @@ def render(
     from .results import write_render
     from .shading import OrenNayar
 
+    check_output(output)
     layer = OrenNayar(model)
     direction = torch.tensor(light)
     if not (bool(direction.isfinite().all()) and bool(direction.norm() > 0)):
@@ -94,6 +102,8 @@ def render(
         distance = 1.05 / math.sin(math.radians(fov) / 2)
         camera = Camera.perspective(math.radians(fov), eye=tuple(distance * x for x in toward))
     seen = render_normals(normalise_mesh(vertices), faces, camera, (size, size))
+    if not bool(seen.mask.any()):
+        raise RangeError(str(mesh), expected="a surface that can be seen", got="no pixel", mend="check the mesh")
     view = camera.view_directions((size, size))
     unit = F.normalize(direction, dim=0)[None]
     pictures = {
@@ -113,13 +123,16 @@ def stereo(
     mask: Annotated[Path | None, typer.Option(help="Mask image kept elsewhere; white is the object.")] = None,
     encoding: Annotated[str, typer.Option(help="auto (8-bit is sRGB), linear or srgb.")] = "auto",
     least_squares: Annotated[bool, typer.Option("--least-squares", help="Plain Lambertian least squares.")] = False,
-    seed: Annotated[int, typer.Option(help="Picks the pixels that decide model and roughness.")] = 0,
+    seed: Annotated[int, typer.Option(help="Picks the pixels and lights that decide.", min=0)] = 0,
 ) -> None:
     """Photographs under known lights in; normals, albedo, roughness, depth and a mesh out."""
     from .capture import load_capture
     from .results import write_reconstruction
     from .stereo import photometric_stereo
 
+    if least_squares and model not in ("auto", "lambert"):
+        raise RangeError("--least-squares", expected="no --model, or lambert", got=model, mend="leave one of them out")
+    check_output(output)
     begun = time.perf_counter()
     loaded = load_capture(capture, lights=lights, mask=mask, encoding=encoding)
     ready = time.perf_counter()
@@ -159,6 +172,7 @@ def export(
     """Write an ONNX graph and verify it against torch."""
     from .export import export_onnx
 
+    check_output(path.parent)
     say("exporting and verifying")
     export_onnx(graph, path, model=model, per_pixel_directions=per_pixel_directions)
     out.print(f"{path}: {path.stat().st_size / 1000:.0f} kB, equal to torch at five sizes", markup=False)
@@ -216,9 +230,10 @@ def main() -> None:
     except TorchOrenNayarError as error:
         err.print(f"error: {' '.join(str(error).split())}", markup=False)
         sys.exit(1)
-    except KeyboardInterrupt:
-        err.print("interrupted; nothing half-written stays", markup=False)
-        sys.exit(130)
+    except SystemExit as leave:
+        if leave.code == INTERRUPTED:
+            err.print("interrupted; nothing half-written stays", markup=False)
+        raise
 
 
 if __name__ == "__main__":

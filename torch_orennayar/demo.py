@@ -178,11 +178,11 @@ def _comparison(
         ],
         labels=("normal", "albedo"),
     )
-    errors = {f"normal, {m}": angular_error(found[m].normal, truth, mask) for m in METHODS}
+    errors = {f"normal error, {m}": angular_error(found[m].normal, truth, mask) for m in METHODS}
     error_map = save_maps(folder / "normal_error.png", errors, mask, unit="degrees", top=12)
-    differences = {f"albedo, {m}": (found[m].albedo - scene.albedo).abs().mean(0, keepdim=True) for m in METHODS}
+    differences = {f"albedo error, {m}": (found[m].albedo - scene.albedo).abs().mean(0, keepdim=True) for m in METHODS}
     albedo_map = save_maps(folder / "albedo_error.png", differences, mask, unit="albedo", top=0.2)
-    rough = {f"roughness, {m}": (found[m].roughness - ROUGHNESS * mask).abs().rad2deg() for m in METHODS}
+    rough = {f"roughness error, {m}": (found[m].roughness - ROUGHNESS * mask).abs().rad2deg() for m in METHODS}
     roughness_map = save_maps(folder / "roughness_error.png", rough, mask, unit="degrees", top=30)
     rows = [
         (

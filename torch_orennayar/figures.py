@@ -30,6 +30,16 @@ def show_light(image: Tensor, mask: Tensor) -> Tensor:
     return torch.where(mask, linear_to_srgb(image.expand(3, -1, -1)), 1.0)
 
 
+def crop_to(mask: Tensor) -> tuple[slice, slice]:
+    """Rows and columns of the mask's bounding box, with a small margin."""
+    spans = []
+    for axis, size in ((1, mask.shape[1]), (0, mask.shape[2])):
+        inside = mask[0].any(axis).nonzero().flatten().tolist() or [0, size - 1]
+        margin = 2 + (inside[-1] - inside[0]) // 40
+        spans.append(slice(max(inside[0] - margin, 0), min(inside[-1] + margin + 1, size)))
+    return spans[0], spans[1]
+
+
 def save_sheet(
     path: PathLike, rows: Sequence[Mapping[str, Tensor]], *, labels: Sequence[str] = (), title: str = ""
 ) -> Path:
@@ -63,14 +73,16 @@ def save_maps(
     ``top`` is the bar's upper end; default: the largest 99th percentile.
     """
     inside = mask[0].cpu().numpy()
-    arrays = {caption: np.where(inside, m[0].detach().cpu().numpy(), np.nan) for caption, m in maps.items()}
+    part = crop_to(mask)
+    arrays = {caption: np.where(inside, m[0].detach().cpu().numpy(), np.nan)[part] for caption, m in maps.items()}
     highest = top or max(float(np.nanpercentile(a, 99)) for a in arrays.values()) or 1.0
+    over = any(np.nanmax(a) > highest for a in arrays.values())
     figure, axes = _grid(1, len(arrays))
     for axis, (caption, array) in zip(axes[0], arrays.items(), strict=True):
         picture = axis.imshow(array, vmin=0, vmax=highest, cmap=palette)
         axis.set_title(caption, fontsize=9)
         axis.axis("off")
-    figure.colorbar(picture, ax=list(axes[0]), label=unit, shrink=0.85, extend="max")
+    figure.colorbar(picture, ax=list(axes[0]), label=unit, shrink=0.85, extend="max" if over else "neither")
     return _save(figure, path)
 
 

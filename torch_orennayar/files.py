@@ -20,6 +20,16 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
         yield folder / target.name
 
 
+def check_output(path: str | os.PathLike[str]) -> None:
+    """Refuse an output folder that cannot be written, before any work is done for it.
+
+    Raises:
+        FileError: ``path`` is a file, or the place cannot be written.
+    """
+    with atomic_directory(path):
+        pass
+
+
 @contextmanager
 def atomic_directory(path: str | os.PathLike[str]) -> Iterator[Path]:
     """A temporary folder; its files move into ``path`` if the block succeeds, else they vanish.
@@ -43,6 +53,11 @@ def atomic_directory(path: str | os.PathLike[str]) -> Iterator[Path]:
         ) from error
     try:
         yield temporary
+        blocked = [s for s in temporary.rglob("*") if s.is_file() and (target / s.relative_to(temporary)).is_dir()]
+        if blocked:
+            raise FileError(
+                str(target), expected=f"a place for the file {blocked[0].name}", got="a folder", mend="move it away"
+            )
         for source in sorted(temporary.rglob("*")):
             goal = target / source.relative_to(temporary)
             if source.is_dir():

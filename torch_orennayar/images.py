@@ -104,10 +104,14 @@ def write_image(path: str | os.PathLike[str], image: Tensor, *, bits: int = 8) -
 
     if image.ndim != 3 or image.shape[0] not in (1, 3):
         raise ShapeError("image", expected="(1, H, W) or (3, H, W)", got=str(tuple(image.shape)), mend="reshape it")
+    file = Path(path)
+    if bits not in (8, 16) or (bits == 16 and file.suffix.lower() not in (".png", ".tif", ".tiff")):
+        raise FileError(
+            str(file), expected="8 bits, or 16 bits as .png or .tiff", got=f"{bits} bits", mend="change one of them"
+        )
     kind, top = (np.uint8, 255) if bits == 8 else (np.uint16, 65535)
     values = image.detach().cpu().double().nan_to_num(0.0).clamp(0, 1) * top
     array = values.round().permute(1, 2, 0).numpy().astype(kind)[..., ::-1]
-    file = Path(path)
     try:
         done, data = cv2.imencode(file.suffix, array)
     except cv2.error:

@@ -42,10 +42,11 @@ def angular_error(a: Tensor, b: Tensor, mask: Tensor | None = None, *, dim: int 
     Accurate for small angles (``atan2`` of cross and dot product). A measure, not a loss: no gradients.
 
     Args:
-        a: directions of any length, 3 along ``dim``: (3, H, W) or (B, 3, H, W).
-        b: the same shape, or one that broadcasts.
-        mask: foreground, bool, 1 along ``dim``; default everywhere. A zero vector or NaN in either set is
-            never foreground, unless a mask says so: then it counts as 180 degrees, for nothing was found.
+        a: directions of any length, 3 along ``dim``: (3, H, W) or (B, 3, H, W); the estimate.
+        b: the same shape, or one that broadcasts; the truth. Where it is zero or not finite, nothing is known
+            and the pixel is left out.
+        mask: foreground, bool, 1 along ``dim``; default: where both are known. A pixel of the mask where
+            ``a`` is zero or not finite counts as 180 degrees, for nothing was found there.
         dim: the axis of x, y, z.
 
     Returns:
@@ -64,14 +65,16 @@ def angular_error(a: Tensor, b: Tensor, mask: Tensor | None = None, *, dim: int 
         if not -value.ndim <= dim < value.ndim or value.shape[dim] != 3:
             raise ShapeError(name, expected=f"3 along axis {dim}", got=str(tuple(value.shape)), mend="pass dim=")
     try:
-        first, second = torch.broadcast_tensors(a, b)
+        dtype = torch.promote_types(torch.promote_types(a.dtype, b.dtype), torch.float32)
+        first, second = torch.broadcast_tensors(a.to(dtype), b.to(dtype))
         cross = torch.linalg.cross(first, second, dim=dim).norm(dim=dim, keepdim=True)
         angle = torch.rad2deg(torch.atan2(cross, (first * second).sum(dim, keepdim=True)))
-        missing = ~((first.abs().sum(dim, keepdim=True) > 0) & (second.abs().sum(dim, keepdim=True) > 0))
-        if mask is None:
-            return angle.masked_fill(missing, torch.nan).as_subclass(AngularError)
-        angle = angle.masked_fill(missing, 180.0)
-        return torch.where(mask, angle, torch.nan).as_subclass(AngularError)
+        found, known = (
+            (v.abs().sum(dim, keepdim=True) > 0) & v.isfinite().all(dim, keepdim=True) for v in (first, second)
+        )
+        foreground = known & found if mask is None else known & mask.bool()
+        angle = torch.where(found, angle, 180.0)
+        return torch.where(foreground, angle, torch.nan).as_subclass(AngularError)
     except RuntimeError as error:
         raise ShapeError(
             "a, b, mask",

@@ -8,11 +8,12 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from ._checks import check_floating
 from .camera import Camera
 from .errors import RangeError, ShapeError
 
 FRAGMENTS = 2_000_000
-"""Pixel candidates tested at once: bounds memory."""
+"""Pixel candidates tested at once: bounds the memory of the search for visible faces."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,8 @@ def render_normals(
 ) -> NormalMap:
     """Rasterise a triangle mesh: normals, mask, depth, face ids and barycentric coordinates.
 
-    Both sides of a face are drawn; the normals of a face seen from behind are turned to the viewer.
+    Both sides of a face are drawn; the normals of a face seen from behind are turned to the viewer,
+    except given vertex normals, which are taken as they are.
     A pixel belongs to a face if its centre does; centres on a shared edge belong to exactly one of the
     two faces. Faces that cross the near plane of a perspective camera are cut there. Edge functions are
     homogeneous and evaluated in float64.
@@ -59,7 +61,8 @@ def render_normals(
         camera: one camera or B of them.
         size: (H, W) in pixels.
         smooth: interpolate vertex normals; else every face is flat.
-        vertex_normals: (V, 3) or (B, V, 3), world frame; default: weighted by Max 1999, exact on a sphere.
+        vertex_normals: (V, 3) or (B, V, 3), world frame, used where ``smooth``; default: weighted by
+            Max 1999, exact on a sphere.
 
     Returns:
         A `NormalMap`.
@@ -89,9 +92,12 @@ def render_normals(
         face = torch.stack(
             [_visible_faces(i, -p[:, 2], faces, size, near) for i, p in zip(image, positions, strict=True)]
         )
+    taken = vertex_normals is not None
     if vertex_normals is None:
         vertex_normals = _max_normals(world.double(), faces) if smooth else world
-    turned = vertex_normals.double().reshape(-1, *vertex_normals.shape[-2:]) @ camera.rotation.double().transpose(1, 2)
+    turned = vertex_normals.double().reshape(-1, *vertex_normals.shape[-2:]) @ camera.rotation.to(positions).transpose(
+        1, 2
+    )
     hit_batch, hit_pixel = (face >= 0).nonzero(as_tuple=True)
     corner = faces[face[hit_batch, hit_pixel]]  # (hits, 3)
 
@@ -104,13 +110,14 @@ def render_normals(
     corners = gather(positions)
     flat = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     flat = F.normalize(flat, dim=1, eps=1e-300)
+    toward = -flat * corners[:, 0] if camera.is_perspective else flat * flat.new_tensor((0.0, 0.0, 1.0))
+    side = torch.where(toward.sum(1, keepdim=True) < 0, -1.0, 1.0)
+    flat = flat * side
     normal = flat
     if smooth:
-        blended = (gather(turned) * weight[:, :, None]).sum(1)
+        blended = (gather(turned) * weight[:, :, None]).sum(1) * (1.0 if taken else side)
         length = blended.norm(dim=1, keepdim=True)
         normal = torch.where(length > 1e-9, blended / length.clamp_min(1e-9), flat)
-    toward = -flat * corners[:, 0] if camera.is_perspective else flat * flat.new_tensor((0.0, 0.0, 1.0))
-    normal = normal * torch.where(toward.sum(1, keepdim=True) < 0, -1.0, 1.0)
     depth = -(corners[:, :, 2] * weight).sum(1, keepdim=True)
 
     def canvas(values: Tensor, empty: float) -> Tensor:
@@ -131,6 +138,9 @@ def _check(vertices: Tensor, faces: Tensor, camera: Camera, vertex_normals: Tens
     """Shapes and values; vertices as (B, V, 3)."""
     if vertices.ndim not in (2, 3) or vertices.shape[-1] != 3:
         raise ShapeError("vertices", expected="(V, 3) or (B, V, 3)", got=str(tuple(vertices.shape)), mend="reshape")
+    for name, value in (("vertices", vertices), ("vertex_normals", vertex_normals)):
+        if value is not None:
+            check_floating(**{name: value})
     if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype != torch.int64:
         raise ShapeError(
             "faces", expected="(F, 3) int64", got=f"{tuple(faces.shape)} {faces.dtype}", mend="triangulate; .long()"
@@ -143,15 +153,18 @@ def _check(vertices: Tensor, faces: Tensor, camera: Camera, vertex_normals: Tens
             got=f"{len(world)} and {len(camera.eye)}",
             mend="repeat one of them",
         )
-    if vertex_normals is not None and vertex_normals.shape[-2:] != vertices.shape[-2:]:
+    if vertex_normals is not None and vertex_normals.shape not in (world.shape, world.shape[1:]):
         raise ShapeError(
             "vertex_normals",
-            expected=f"one per vertex, {tuple(vertices.shape[-2:])}",
+            expected=f"one per vertex, {tuple(world.shape[1:])}",
             got=str(tuple(vertex_normals.shape)),
             mend="leave it out to have them computed",
         )
-    if not bool(world.detach().isfinite().all()):
-        raise RangeError("vertices", expected="finite numbers", got="NaN or infinity", mend="clean the mesh")
+    if not len(world):
+        raise ShapeError("vertices", expected="at least one mesh", got="an empty batch", mend="skip the call")
+    for name, value in (("vertices", world), ("vertex_normals", vertex_normals)):
+        if value is not None and not bool(value.detach().isfinite().all()):
+            raise RangeError(name, expected="finite numbers", got="NaN or infinity", mend="clean the mesh")
     if faces.numel() and not (int(faces.min()) >= 0 and int(faces.max()) < world.shape[1]):
         raise RangeError(
             "faces",
@@ -167,8 +180,9 @@ def _max_normals(vertices: Tensor, faces: Tensor) -> Tensor:
     corner = vertices[:, faces]  # (B, F, 3, 3)
     after = corner.roll(-1, 2) - corner
     before = corner.roll(1, 2) - corner
-    lengths = (after.square().sum(-1, keepdim=True) * before.square().sum(-1, keepdim=True)).clamp_min(1e-300)
-    parts = torch.linalg.cross(after, before) / lengths
+    lengths = after.square().sum(-1, keepdim=True) * before.square().sum(-1, keepdim=True)
+    whole = lengths > 0
+    parts = torch.linalg.cross(after, before) * (whole / torch.where(whole, lengths, 1))
     index = faces.flatten()[None, :, None].expand(len(vertices), -1, 3)
     return torch.zeros_like(vertices).scatter_add(1, index, parts.flatten(1, 2))
 
@@ -200,12 +214,11 @@ def _visible_faces(image: Tensor, depth: Tensor, faces: Tensor, size: tuple[int,
     # Centres on an edge belong to the side whose inward normal points right, or down if it is vertical.
     owns_edge = (edge[:, :, 0] > 0) | ((edge[:, :, 0] == 0) & (edge[:, :, 1] > 0))
     total = count.cumsum(0)
-    start = 0
-    while start < len(drawn):
-        done = int(total[start - 1]) if start else 0
-        stop = max(int(torch.searchsorted(total, done + FRAGMENTS, right=True)), start + 1)
-        local = torch.repeat_interleave(torch.arange(start, stop, device=image.device), count[start:stop])
-        offset = torch.arange(len(local), device=image.device) - (total - count)[local] + done
+    fragments = int(total[-1]) if len(drawn) else 0
+    for begin in range(0, fragments, FRAGMENTS):
+        fragment = torch.arange(begin, min(begin + FRAGMENTS, fragments), device=image.device)
+        local = torch.searchsorted(total, fragment, right=True)
+        offset = fragment - (total - count)[local]
         x = low[local, 0] + offset % extent[local, 0]
         y = low[local, 1] + offset // extent[local, 0]
         e = edge[local]
@@ -217,7 +230,6 @@ def _visible_faces(image: Tensor, depth: Tensor, faces: Tensor, size: tuple[int,
         seen = distance >= near
         key = (_ordered_bits(distance[seen]) << 32) | drawn[local[seen]]
         best.scatter_reduce_(0, y[seen] * width + x[seen], key, "amin")
-        start = stop
     return torch.where(best == torch.iinfo(torch.int64).max, -1, best & 0xFFFFFFFF)
 
 

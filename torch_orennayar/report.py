@@ -16,7 +16,7 @@ _PAGE = """<!doctype html>
 <style>
   body { font: 16px/1.5 system-ui, sans-serif; max-width: 62rem; margin: 2rem auto; padding: 0 1rem; color: #222; }
   h1 { font-size: 1.6rem } h2 { font-size: 1.2rem; margin-top: 2.2rem }
-  img { max-width: 100%; height: auto; display: block; margin: .8rem 0 }
+  .pictures { display: flex; flex-wrap: wrap; gap: .8rem; margin: .8rem 0 } img { max-width: 100%; height: auto }
   table { border-collapse: collapse; margin: .8rem 0 } td, th { padding: .25rem .8rem; border-bottom: 1px solid #ddd }
   th { text-align: left } td + td { text-align: right; font-variant-numeric: tabular-nums }
   .wide { overflow-x: auto } footer { margin: 3rem 0 1rem; color: #777; font-size: .85rem }
@@ -31,8 +31,9 @@ _PAGE = """<!doctype html>
 <tr>{% for cell in section.columns %}<th>{{ cell }}</th>{% endfor %}</tr>
 {% for row in section.rows %}<tr>{% for cell in row %}<td>{{ cell }}</td>{% endfor %}</tr>
 {% endfor %}</table></div>{% endif %}
-{% for picture in section.pictures %}<img alt="{{ section.heading }}" src="{{ embed(picture) }}">
-{% endfor %}
+<div class="pictures">{% for picture in section.pictures %}
+<img alt="{{ section.heading }}: {{ picture.stem }}" src="{{ embed(picture) }}">{% endfor %}
+</div>
 </section>
 {% endfor %}
 <footer>{{ footer }}</footer>

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from .capture import Capture
-from .figures import save_bars, save_maps, save_sheet, show_light, show_normals
+from .figures import crop_to, save_bars, save_maps, save_sheet, show_light, show_normals
 from .files import atomic_directory
 from .images import encode_normals, linear_to_srgb, write_image
 from .integrate import integrate_normals
@@ -24,6 +24,9 @@ from .metrics import angular_error
 from .render import NormalMap
 from .report import Section, write_report
 from .stereo import Reconstruction
+
+OPTIONAL = {"error.npy", "error.png", "scores.png"}
+"""Files that not every reconstruction has."""
 
 
 @dataclass(frozen=True)
@@ -85,6 +88,9 @@ def write_reconstruction(
         _write_mesh(temporary / "mesh.ply", arrays["depth"], stretched, mask)
         (temporary / "result.json").write_text(json.dumps(numbers, indent=2) + "\n")
         _write_page(temporary, title, numbers, arrays, stretched, top, mask)
+        written = {p.name for p in temporary.iterdir()}
+    for name in OPTIONAL - written:  # of an earlier run into the same folder
+        (Path(folder) / name).unlink(missing_ok=True)
     return Written(Path(folder), numbers)
 
 
@@ -145,11 +151,13 @@ def _write_page(
     albedo_top: float,
     mask: Tensor,
 ) -> None:
+    rows_in, columns_in = crop_to(mask)
     overview = {"normal": show_normals(arrays["normal"], mask), "albedo": show_light(albedo, mask)}
+    overview = {name: picture[:, rows_in, columns_in] for name, picture in overview.items()}
     save_sheet(folder / "overview.png", [overview])
     rows = [
         ("model", str(numbers["model"])),
-        ("roughness", f"{numbers['roughness_degrees']:.1f} degrees"),
+        ("roughness", "none" if numbers["model"] == "lambert" else f"{numbers['roughness_degrees']:.1f} degrees"),
         ("images", str(numbers["images"])),
         ("pixels", str(numbers["pixels"])),
     ]

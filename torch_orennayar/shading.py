@@ -11,7 +11,7 @@ import math
 import torch
 from torch import Tensor, nn
 
-from ._checks import check_axis, check_broadcast, check_range, check_unit
+from ._checks import check_axis, check_broadcast, check_channels, check_floating, check_range, check_unit, checking
 from .errors import ShapeError
 from .reflectance import get_model
 
@@ -67,11 +67,12 @@ def oren_nayar(
         >>> round(ton.oren_nayar(up, up, up, 1.0, 0.5).item(), 4)
         0.7845
     """
-    value, ci = _evaluate(normal, light, view, albedo, roughness, model, dim)
+    value, ci, axis = _evaluate(normal, light, view, albedo, roughness, model, dim)
     shading = value * ci
     if irradiance is not None:
-        check_range("irradiance", irradiance, 0.0, math.inf, "irradiance is never negative")
-        check_broadcast(_axis_from_end(dim, normal, light, view), shading=shading, irradiance=irradiance)
+        check_range("irradiance", irradiance, 0.0, math.inf, "irradiance is never negative or infinite")
+        check_broadcast(axis, shading=shading, irradiance=irradiance)
+        check_channels(axis, albedo=albedo, irradiance=irradiance)
         shading = shading * irradiance
     return shading.to(_result_dtype(normal, light, view, albedo, roughness, irradiance))
 
@@ -100,7 +101,7 @@ def brdf(
         >>> math.isclose(ton.brdf(up, up, up, 0.5, 0.0, model="lambert").item(), 0.5 / math.pi, rel_tol=1e-6)
         True
     """
-    value, _ = _evaluate(normal, light, view, albedo, roughness, model, dim)
+    value, _, _ = _evaluate(normal, light, view, albedo, roughness, model, dim)
     return (value / math.pi).to(_result_dtype(normal, light, view, albedo, roughness))
 
 
@@ -129,16 +130,20 @@ def directional_albedo(
         >>> round(ton.directional_albedo(torch.tensor(0.5), 0.8, 0.0, model="lambert").item(), 5)
         0.8
     """
+    check_floating(cos_view=cos_view)
     check_range("cos_view", cos_view, 1e-6, 1 + 1e-6, "it is the cosine between normal and view")
     function = get_model(model).function
+    dtype = cos_view.dtype
+    cos_view = cos_view.float() if dtype in (torch.float16, torch.bfloat16) else cos_view
     albedo_tensor, sigma = _parameters(albedo, roughness, cos_view)
     node, weight = _gauss_legendre(cos_view)
     ci = node[:, None]  # (48, 1)
     cos_phi = (torch.pi * node)[None, :].cos()  # (1, 48), half of the circle
     co = cos_view[..., None, None]
-    lv = ci * co + ((1 - ci * ci) * (1 - co * co)).clamp_min(0).sqrt() * cos_phi
+    # The floor keeps the root's derivative finite at the frontal view, where cos_phi sums it to zero.
+    lv = ci * co + (1 - ci * ci).sqrt() * ((1 - co) * (1 + co)).clamp_min(1e-12).sqrt() * cos_phi
     value = function(ci, co, lv, albedo_tensor[..., None, None], sigma[..., None, None])
-    return (value * ci * 2 * weight[:, None] * weight[None, :]).sum((-2, -1))
+    return (value * ci * 2 * weight[:, None] * weight[None, :]).sum((-2, -1)).to(dtype)
 
 
 def _gauss_legendre(like: Tensor) -> tuple[Tensor, Tensor]:
@@ -152,8 +157,8 @@ def _gauss_legendre(like: Tensor) -> tuple[Tensor, Tensor]:
 def point_light(points: Tensor, position: Tensor, intensity: Tensor | float, *, dim: int = 1) -> tuple[Tensor, Tensor]:
     """Direction and irradiance of a near source at every point: inverse-square law.
 
-    Differentiable in all arguments; at the source itself (zero distance) both results and their
-    gradients are 0.
+    Differentiable in all arguments; at the source itself (zero distance) and at points that are not
+    finite (background) both results and their gradients are 0.
 
     Args:
         points: surface points in the camera frame, 3 along ``dim``, e.g. (B, 3, H, W).
@@ -176,15 +181,20 @@ def point_light(points: Tensor, position: Tensor, intensity: Tensor | float, *, 
         >>> light.flatten().tolist(), irradiance.item()
         ([0.0, 0.0, 1.0], 0.25)
     """
+    check_floating(points=points, position=position)
     axis = _axis_from_end(dim, points, position)
     check_axis("points", points, axis, (3,))
     check_axis("position", position, axis, (3,))
     check_range("intensity", intensity, 0.0, math.inf, "intensity is never negative")
-    offset = position - points
+    dtype = _result_dtype(points, position, intensity)
+    here, there = (_working(t, _working_dtype(dtype)).nan_to_num(0.0, 0.0, 0.0) for t in (points, position))
+    known = (points.isfinite() & position.isfinite()).all(axis, keepdim=True)
+    offset = (there - here) * known
     square = (offset * offset).sum(axis, keepdim=True)
-    there = square > 0
-    inverse = torch.where(there, square, 1).rsqrt() * there
-    return offset * inverse, intensity * (inverse * inverse)
+    apart = square > 0
+    inverse = torch.where(apart, square, 1).rsqrt() * apart
+    check_broadcast(axis, points=points, position=position, intensity=intensity)
+    return (offset * inverse).to(dtype), (intensity * (inverse * inverse)).to(dtype)
 
 
 class OrenNayar(nn.Module):
@@ -227,13 +237,13 @@ class OrenNayar(nn.Module):
 
         Args:
             normal: (B, 3, H, W), or any shape with 3 along ``dim``.
-            light: (B, 3) or (3,) one per image, (B, K, 3) several per image, (B, 3, H, W) per pixel,
-                (B, K, 3, H, W) several per pixel; unit, from the surface to the light.
+            light: (B, 3) or (3,) one per image, (B, K, 3) several per image (normals of 4 axes or more),
+                (B, 3, H, W) per pixel, (B, K, 3, H, W) several per pixel; unit, from surface to light.
             view: as one light; default (0, 0, 1), orthographic.
-            albedo: number, (B, C), or 1 or C along ``dim``; default 1.
-            roughness: radians: number, (B, 1), or 1 along ``dim``; default 0.
-            irradiance: number, or 1 or C channels laid out as the lights are: (B, C), (B, K, C),
-                (B, C, H, W), (B, K, C, H, W); default 1.
+            albedo: number, (C,) or (B, C) with 1 or 3 channels, or a map with any C along ``dim``; default 1.
+            roughness: radians: number, (1,), (B, 1), or a map with 1 along ``dim``; default 0.
+            irradiance: number, or 1 or 3 channels laid out as the lights are: (C,), (B, C), (B, K, C), or
+                maps with any C: (B, C, H, W), (B, K, C, H, W); default 1.
 
         Returns:
             (B, C, H, W), or (B, K, C, H, W) for several lights (sum over dim 1 for all of them on).
@@ -261,43 +271,53 @@ class OrenNayar(nn.Module):
         if view is None:
             view = normal.new_tensor((0.0, 0.0, 1.0))
 
-        def lay(name: str, value: Tensor) -> Tensor:
-            return _lay_out(name, value, normal.ndim, axis, several)
+        batch = normal.shape[0] if axis > 0 else 1
+        count = light.shape[1] if several else 1
 
-        def lay_number(name: str, value: Tensor | float) -> Tensor | float:
-            return lay(name, value) if isinstance(value, Tensor) else value
+        def lay(name: str, value: Tensor, channels: tuple[int, ...] = (3,)) -> Tensor:
+            return _lay_out(name, value, normal.ndim, axis, batch, count if several else None, channels)
+
+        def lay_number(name: str, value: Tensor | float, channels: tuple[int, ...] = (1, 3)) -> Tensor | float:
+            return lay(name, value, channels) if isinstance(value, Tensor) else value
 
         return oren_nayar(
             lay("normal", normal),
             lay("light", light),
             lay("view", view),
             lay_number("albedo", 1.0 if albedo is None else albedo),
-            lay_number("roughness", 0.0 if roughness is None else roughness),
+            lay_number("roughness", 0.0 if roughness is None else roughness, (1,)),
             model=self.model,
             irradiance=None if irradiance is None else lay_number("irradiance", irradiance),
             dim=axis + int(several),
         )
 
 
-def _lay_out(name: str, value: Tensor, ndim: int, axis: int, several: bool) -> Tensor:
-    """Bring (C,), (B, C), (B, K, C) or a map to the layout of the normals, with a light axis at 1 if ``several``."""
-    after = (1,) * (ndim - axis - 1)
-    between = (1,) * max(axis - 1, 0)
-    lights = (1,) if several else ()
+def _lay_out(
+    name: str, value: Tensor, ndim: int, axis: int, batch: int, lights: int | None, channels: tuple[int, ...]
+) -> Tensor:
+    """Bring (C,), (B, C), (B, K, C) or a map to the layout of the normals, with a light axis at 1 if ``lights``.
+
+    The short forms are told apart by their sizes: a batch, a light count or a channel count that does not
+    fit is refused rather than broadcast.
+    """
     shape = tuple(value.shape)
-    if value.ndim == 0 or (value.ndim == ndim + 1 and several):
+    between, after = (1,) * max(axis - 1, 0), (1,) * (ndim - axis - 1)
+    if value.ndim == 0 or (value.ndim == ndim + 1 and lights is not None):
         return value
     if value.ndim == ndim:
-        return value.unsqueeze(1) if several else value
-    if value.ndim == 1:
-        return value.reshape(*shape, *after)
-    if value.ndim == 2 and axis > 0:
-        return value.reshape(shape[0], *lights, *between, shape[1], *after)
-    if value.ndim == 3 and several:
-        return value.reshape(shape[0], shape[1], *between, shape[2], *after)
+        return value if lights is None else value.unsqueeze(1)
+    if shape[-1] in channels:
+        if value.ndim == 1:
+            return value.reshape(*shape, *after)
+        if value.ndim == 2 and axis > 0 and shape[0] in (1, batch):
+            return value.reshape(shape[0], *(() if lights is None else (1,)), *between, shape[1], *after)
+        if value.ndim == 3 and lights is not None and shape[0] in (1, batch) and shape[1] in (1, lights):
+            return value.reshape(shape[0], shape[1], *between, shape[2], *after)
+    size = " or ".join(str(c) for c in channels)
     raise ShapeError(
         name,
-        expected=f"(C,), (B, C), a map of {ndim} axes" + (", (B, K, C) or a map per light" if several else ""),
+        expected=f"({size},), ({batch}, {size}), a map of {ndim} axes"
+        + ("" if lights is None else f", ({batch}, {lights}, {size}) or a map per light"),
         got=f"shape {shape}",
         mend="give it the layout of the normals, or one value per image",
     )
@@ -319,8 +339,19 @@ def _result_dtype(*values: Tensor | float | None) -> torch.dtype:
     return dtype
 
 
+def _working_dtype(dtype: torch.dtype) -> torch.dtype:
+    return torch.float32 if dtype in (torch.float16, torch.bfloat16) else dtype
+
+
 def _working(tensor: Tensor, dtype: torch.dtype) -> Tensor:
-    return tensor if tensor.dtype == dtype else tensor.to(dtype)
+    """``tensor`` in ``dtype``; gradients that go back to float16 saturate at its range."""
+    if tensor.dtype == dtype:
+        return tensor
+    wider = tensor.to(dtype)
+    if tensor.dtype == torch.float16 and wider.requires_grad and checking():
+        most = torch.finfo(torch.float16).max
+        wider.register_hook(lambda gradient: gradient.clamp(-most, most))
+    return wider
 
 
 def _parameters(albedo: Tensor | float, roughness: Tensor | float, like: Tensor) -> tuple[Tensor, Tensor]:
@@ -346,24 +377,25 @@ def _evaluate(
     roughness: Tensor | float,
     model: str,
     dim: int,
-) -> tuple[Tensor, Tensor]:
-    """``pi f_r`` and ``n.l``, both exactly 0, gradients too, where the surface faces away."""
+) -> tuple[Tensor, Tensor, int]:
+    """``pi f_r``, exactly 0, gradients too, where the surface faces away; ``n.l``; the axis of x, y, z from the end."""
     function = get_model(model).function
+    check_floating(normal=normal, light=light, view=view)
     tensors = [t for t in (normal, light, view, albedo, roughness) if isinstance(t, Tensor)]
     axis = _axis_from_end(dim, *tensors)
     for name, vectors in (("normal", normal), ("light", light), ("view", view)):
         check_axis(name, vectors, axis, (3,))
-    for name, vectors in (("light", light), ("view", view)):
         check_unit(name, vectors, axis)
     if isinstance(roughness, Tensor) and roughness.ndim > 0:
         check_axis("roughness", roughness, axis, (1,))
-    if isinstance(albedo, Tensor) and albedo.ndim > 0 and albedo.ndim < -axis:
-        check_axis("albedo", albedo, axis, (albedo.shape[-1],))
+    check_channels(axis, albedo=albedo)
     check_broadcast(axis, normal=normal, light=light, view=view, albedo=albedo, roughness=roughness)
-    dtype = _result_dtype(*tensors)
-    dtype = torch.float32 if dtype in (torch.float16, torch.bfloat16) else dtype
-    n, l, v = (_working(t, dtype).nan_to_num(0.0, 0.0, 0.0) for t in (normal, light, view))  # noqa: E741
-    rho, sigma = (_working(t, dtype) for t in _parameters(albedo, roughness, n))
+    dtype = _working_dtype(_result_dtype(*tensors))
+    # Where checks cannot look (compiled, vmap), a background of NaN must still not reach a gradient.
+    n, l, v, rho, sigma = (  # noqa: E741
+        _working(t, dtype).nan_to_num(0.0, 0.0, 0.0)
+        for t in (normal, light, view, *_parameters(albedo, roughness, normal))
+    )
     ci = (n * l).sum(axis, keepdim=True)
     co = (n * v).sum(axis, keepdim=True)
     lv = (l * v).sum(axis, keepdim=True)
@@ -372,4 +404,4 @@ def _evaluate(
     floor = torch.finfo(dtype).tiny ** 0.25
     ci = torch.where(facing, ci, 1.0)
     value = function(ci.clamp_min(floor), torch.where(facing, co, 1.0).clamp_min(floor), lv, rho, sigma)
-    return torch.where(facing, value, 0.0), ci
+    return torch.where(facing, value, 0.0), ci, axis

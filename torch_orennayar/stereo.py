@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from . import _robust_fit as robust_fit
-from ._checks import check_unit
+from ._checks import check_floating, check_unit
 from .errors import CaptureError, RangeError, ShapeError
 from .reflectance import get_model
 
@@ -21,6 +21,7 @@ TOLERANCE = 0.02
 SAMPLE_PIXELS = 1500
 MIN_LIGHTS_ROUGHNESS = 5
 MIN_LIGHTS_HELD_OUT = 8
+MAX_CONDITION = 30
 ERROR_CAP = 0.15
 """Scores cut absolute errors at this share of a pixel's mean, so that shadows and highlights weigh little."""
 _COARSE = tuple(math.radians(s) for s in (0, 8, 16, 24, 32, 40, 48, 56, 64))
@@ -88,7 +89,7 @@ def photometric_stereo(
         mask: (1, H, W) or (B, 1, H, W) bool; default all pixels. Outside it images may hold anything.
         model: ``"auto"`` or a name in ``MODELS``.
         robust: ``False`` is plain least squares over all observations, for ``"lambert"`` only.
-        seed: picks the pixels on which roughness and model are decided.
+        seed: picks the pixels and the held-out lights on which roughness and model are decided.
 
     Returns:
         A `Reconstruction`.
@@ -96,8 +97,8 @@ def photometric_stereo(
     Raises:
         ShapeError: shapes do not fit together.
         RangeError: NaN inside the mask, or lights that are no unit vectors.
-        CaptureError: fewer than 3 lights, lights nearly in one plane, an empty mask, too few lights for
-            a roughness.
+        CaptureError: fewer than 3 lights, lights nearly in one plane or mostly behind the object, an
+            empty mask, no pixel that three lights reach, too few lights for a roughness.
         ModelError: unknown model.
 
     Source:
@@ -136,21 +137,37 @@ def photometric_stereo(
         )
     grey = colour.mean(1).T.contiguous()  # (P, K)
     directions = lights.to(grey)
+    dark = _undetermined(grey)
+    if bool(dark.all()):
+        raise CaptureError(
+            "images",
+            expected="pixels that at least 3 lights reach",
+            got="none inside the mask",
+            mend="check exposure, mask and the order of the lights",
+        )
     scores: dict[str, float] = {}
     sigma = 0.0
     if robust:
-        sample = grey[_sample(len(grey), seed)]
+        sample = grey[_sample(dark, seed)]
         if model == "auto":
-            model, scores = _choose(sample, directions, report)
+            model, scores = _choose(sample, directions, seed, report)
         if model != "lambert":
             sigma = _find_roughness(sample, directions, model, report)
         fitted = robust_fit.fit(grey, directions, model, sigma, show="solving")
     else:
         fitted = robust_fit.least_squares(grey, directions)
-    dark = _undetermined(grey)
     if bool(dark.any()):
         report.append(f"{int(dark.sum())} pixels are lit by fewer than 3 lights; their confidence is 0.")
+    if len(lights) == 3:
+        report.append("3 lights leave no observation to check the normals with: all confidence is 0.")
+        dark = torch.ones_like(dark)
     spread = torch.where(dark[:, None], torch.inf, fitted.spread)
+    beyond = (fitted.albedo > 1.05).sum().item()
+    if model != "lambert" and beyond:
+        report.append(
+            f"albedo is above 1 in {beyond} pixels: images are not in units of white, and light between facets "
+            "is taken as of a white surface there."
+        )
 
     def spread_out(values: Tensor) -> Tensor:
         canvas = values.new_zeros(values.shape[1], *inside.shape)
@@ -200,7 +217,8 @@ def _solve_batch(
 
 def _check(images: Tensor, lights: Tensor, mask: Tensor | None) -> Tensor:
     """Shapes and units; the mask as (H, W) bool."""
-    if images.ndim != 4:
+    check_floating(images=images, lights=lights)
+    if images.ndim != 4 or 0 in images.shape:
         raise ShapeError("images", expected="(K, C, H, W)", got=str(tuple(images.shape)), mend="stack the images")
     if lights.shape != (len(images), 3):
         raise ShapeError(
@@ -215,7 +233,15 @@ def _check(images: Tensor, lights: Tensor, mask: Tensor | None) -> Tensor:
         )
     if not bool(mask.any()):
         raise CaptureError("mask", expected="some pixels", got="none", mend="mark the object")
-    check_unit("lights", lights, 1)
+    check_unit("lights", lights, 1, gaps=False)
+    behind = int((lights[:, 2] <= 0).sum())
+    if 2 * behind > len(lights):
+        raise CaptureError(
+            "lights",
+            expected="most lights on the camera's side (z > 0: x right, y up, z toward the camera)",
+            got=f"{behind} of {len(lights)} behind the object",
+            mend="use swap_opencv_frame if they are in OpenCV's frame",
+        )
     return mask[0]
 
 
@@ -223,14 +249,13 @@ def _check_conditioning(lights: Tensor, report: list[str]) -> None:
     """Lights must span space: warn from a condition number of 10, refuse above 30."""
     if len(lights) < 3:
         raise CaptureError("lights", expected="at least 3", got=str(len(lights)), mend="photograph under more lights")
-    largest, *_, smallest = torch.linalg.svdvals(lights.detach().cpu().double()).tolist()
-    condition = largest / max(smallest, 1e-12)
-    if condition > 30:
+    condition = _condition(lights)
+    if condition > MAX_CONDITION:
         raise CaptureError(
             "lights",
             expected="directions that span space (condition number up to 30)",
             got=f"{condition:.3g}" if condition < 1e6 else "directions in one plane",
-            mend="spread the lights, or leave out none that differ",
+            mend="photograph under lights from more directions",
         )
     if condition > 10:
         report.append(f"lights lie close together (condition number {condition:.1f}): noise is amplified.")
@@ -243,9 +268,28 @@ def _undetermined(grey: Tensor) -> Tensor:
     return (grey > level.clamp_min(0)).sum(1) < 3
 
 
-def _sample(count: int, seed: int) -> Tensor:
+def _sample(dark: Tensor, seed: int) -> Tensor:
+    """Indices of the pixels that decide, among those that are not ``dark``."""
+    lit = (~dark).nonzero().flatten()
     generator = torch.Generator().manual_seed(seed)
-    return torch.randperm(count, generator=generator)[:SAMPLE_PIXELS]
+    return lit[torch.randperm(len(lit), generator=generator)[:SAMPLE_PIXELS].to(lit.device)]
+
+
+def _hold_out(lights: Tensor, seed: int) -> Tensor | None:
+    """A quarter of the lights, drawn so that the others still span space, (K,) bool; None if none does."""
+    generator = torch.Generator().manual_seed(seed)
+    for _ in range(50):
+        held = torch.zeros(len(lights), dtype=torch.bool)
+        held[torch.randperm(len(lights), generator=generator)[: len(lights) // 4]] = True
+        held = held.to(lights.device)
+        if _condition(lights[~held]) <= MAX_CONDITION:
+            return held
+    return None
+
+
+def _condition(lights: Tensor) -> float:
+    largest, *_, smallest = torch.linalg.svdvals(lights.detach().cpu().double()).tolist()
+    return float(largest / max(smallest, 1e-12))
 
 
 def _score(observed: Tensor, predicted: Tensor, scale: Tensor) -> float:
@@ -257,25 +301,30 @@ def _scale(grey: Tensor) -> Tensor:
     return grey.abs().mean(1, keepdim=True).clamp_min(1e-12)
 
 
-def _choose(sample: Tensor, lights: Tensor, report: list[str]) -> tuple[str, dict[str, float]]:
+def _choose(sample: Tensor, lights: Tensor, seed: int, report: list[str]) -> tuple[str, dict[str, float]]:
     """Lambert or Oren-Nayar, by the error on lights that were held out."""
     count = len(lights)
     if count < MIN_LIGHTS_HELD_OUT:
         report.append(f"lambert: {count} lights are too few to hold any out (from {MIN_LIGHTS_HELD_OUT} on).")
         return "lambert", {}
-    held = torch.arange(count, device=lights.device) % 4 == 1
+    held = _hold_out(lights, seed)
+    if held is None:
+        report.append("lambert: no quarter of the lights can be held out, the others would lie in one plane.")
+        return "lambert", {}
     scale = _scale(sample)
     scores: dict[str, float] = {}
+    listed = []
     for model in ("lambert", AUTO_MODEL):
         sigma = 0.0 if model == "lambert" else _find_roughness(sample[:, ~held], lights[~held], model, [])
         fitted = robust_fit.fit(sample[:, ~held], lights[~held], model, sigma, lit_only=True)
         predicted = robust_fit.predict(fitted, lights[held], model, sigma)
         scores[model] = _score(sample[:, held], predicted, scale)
+        rough = f" with roughness {math.degrees(sigma):.1f} degrees" if model != "lambert" else ""
+        listed.append(f"{model}{rough} {scores[model]:.4f}")
     best = min(scores.values())
     chosen = next(model for model, score in scores.items() if score <= best * (1 + TOLERANCE))
-    listed = ", ".join(f"{model} {score:.4f}" for model, score in scores.items())
     report.append(
-        f"{chosen} chosen: error on {int(held.sum())} held-out lights, as a share of the mean: {listed}; "
+        f"{chosen} chosen: error on {int(held.sum())} held-out lights, as a share of the mean: {', '.join(listed)}; "
         f"the simplest model within {TOLERANCE:.0%} of the best is taken."
     )
     return chosen, scores
@@ -307,7 +356,8 @@ def _find_roughness(sample: Tensor, lights: Tensor, model: str, report: list[str
             visit(sigma, fits[best])
     best = min(costs, key=costs.__getitem__)
     sigma = _parabola(costs, best)
-    report.append(f"roughness {math.degrees(sigma):.1f} degrees, one for the whole capture.")
+    limit = " (the end of the search: it may be more)" if sigma >= _COARSE[-1] else ""
+    report.append(f"roughness {math.degrees(sigma):.1f} degrees{limit}, one for the whole capture.")
     return sigma
 
 
