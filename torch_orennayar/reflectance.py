@@ -234,11 +234,11 @@ _models: dict[str, Model] = {
     m.name: m
     for m in (
         Model("lambert", lambert, "Lambert 1760", 1.0, 0.141),
-        Model("qualitative", qualitative, "Oren & Nayar 1994, eq. 30", 1.2, 0.070, _KINKS),
-        Model("qualitative-0.57", qualitative_057, "Oren & Nayar 1994, remark on eq. 30", 1.2, 0.061, _KINKS),
-        Model("fujii", fujii, "Y. Fujii 2012", 1.6, 0.035, _KINKS),
+        Model("qualitative", qualitative, "Oren & Nayar 1994, eq. 30", 1.4, 0.070, _KINKS),
+        Model("qualitative-0.57", qualitative_057, "Oren & Nayar 1994, remark on eq. 30", 1.3, 0.061, _KINKS),
+        Model("fujii", fujii, "Y. Fujii 2012", 1.7, 0.035, _KINKS),
         Model("full", full, "Oren & Nayar 1994, eqs. 27-29", 2.7, 0.036, _KINKS),
-        Model("vcavity", vcavity, "this project's rational fit to the V-cavity theory, all bounces", 3.5, 0.0036),
+        Model("vcavity", vcavity, "this project's rational fit to the V-cavity theory, all bounces", 3.6, 0.0036),
         Model("eon", eon, "Portsmouth, Kutz & Hill 2024", 1.9, 0.083, _KINKS),
     )
 }

@@ -75,8 +75,9 @@ def photometric_stereo(
     The robust solver starts from least squares on the middle ranks of every pixel's observations and
     goes on with Gauss-Newton steps under Geman-McClure weights: for Lambert on those ranks (which leave
     out highlights and shadows), for other models on all observations that are not in shadow. A model
-    with roughness gets one roughness per capture. ``auto`` fits Lambert and ``vcavity`` on three lights
-    of four, scores both on the rest, and takes the simplest within 2 % of the best.
+    with roughness gets one roughness per capture, of at most 68 degrees. ``auto`` fits Lambert and
+    ``vcavity`` on three lights of four, scores both on the rest, and takes the simplest within 2 % of the
+    best.
 
     Models with inter-reflection take albedo in the unit of the images (1 is white), cut to [0, 1]. Not
     differentiable. float64 is solved in float64, all else in float32. The same seed gives the same
