@@ -126,26 +126,10 @@ def photometric_stereo(
     inside = _check(images, lights, mask)
     report: list[str] = []
     _check_conditioning(lights, report)
-    dtype = torch.float64 if images.dtype == torch.float64 else torch.float32
-    colour = images[:, :, inside].to(dtype)  # (K, C, P)
-    if not bool(colour.isfinite().all()):
-        count = int((~colour.isfinite()).flatten(0, 1).any(0).sum())
-        raise RangeError(
-            "images",
-            expected="finite values inside the mask",
-            got=f"NaN or infinity in {count} pixels",
-            mend="take those pixels out of the mask",
-        )
+    colour = _gather(images, inside)
     grey = colour.mean(1).T.contiguous()  # (P, K)
     directions = lights.to(grey)
     dark = _undetermined(grey)
-    if bool(dark.all()):
-        raise CaptureError(
-            "images",
-            expected="pixels that at least 3 lights reach",
-            got="none inside the mask",
-            mend="check exposure, mask and the order of the lights",
-        )
     scores: dict[str, float] = {}
     sigma = 0.0
     if robust:
@@ -157,34 +141,53 @@ def photometric_stereo(
         fitted = robust_fit.fit(grey, directions, model, sigma, show="solving")
     else:
         fitted = robust_fit.least_squares(grey, directions)
+    spread = torch.where(_unsure(dark, fitted, len(lights), model, report), torch.inf, fitted.spread)
+
+    def canvas(values: Tensor) -> Tensor:
+        empty = values.new_zeros(values.shape[1], *inside.shape)
+        empty[:, inside] = values.T
+        return empty
+
+    return Reconstruction(
+        normal=canvas(fitted.normal),
+        albedo=canvas(robust_fit.albedo_per_channel(fitted, colour, directions, model, sigma)),
+        roughness=canvas(torch.full_like(fitted.albedo, sigma)),
+        residual=canvas(fitted.residual),
+        confidence=canvas(1 / (1 + (spread / math.radians(2)) ** 2)),
+        model=model,
+        scores=scores,
+        report=tuple(report),
+    )
+
+
+def _gather(images: Tensor, inside: Tensor) -> Tensor:
+    """Observations inside the mask, (K, C, P), float32 or float64, all finite."""
+    dtype = torch.float64 if images.dtype == torch.float64 else torch.float32
+    colour = images[:, :, inside].to(dtype)
+    if not bool(colour.isfinite().all()):
+        count = int((~colour.isfinite()).flatten(0, 1).any(0).sum())
+        raise RangeError(
+            "images",
+            expected="finite values inside the mask",
+            got=f"NaN or infinity in {count} pixels",
+            mend="take those pixels out of the mask",
+        )
+    return colour
+
+
+def _unsure(dark: Tensor, fitted: robust_fit.PixelFit, lights: int, model: str, report: list[str]) -> Tensor:
+    """Pixels that get no confidence, (P, 1) bool; reports them, and albedo outside the unit of the images."""
     if bool(dark.any()):
         report.append(f"{int(dark.sum())} pixels are lit by fewer than 3 lights; their confidence is 0.")
-    if len(lights) == 3:
+    if lights == 3:
         report.append("3 lights leave no observation to check the normals with: all confidence is 0.")
-        dark = torch.ones_like(dark)
-    spread = torch.where(dark[:, None], torch.inf, fitted.spread)
-    beyond = (fitted.albedo > 1.05).sum().item()
+    beyond = int((fitted.albedo > 1.05).sum())
     if model != "lambert" and beyond:
         report.append(
             f"albedo is above 1 in {beyond} pixels: images are not in units of white, and light between facets "
             "is taken as of a white surface there."
         )
-
-    def spread_out(values: Tensor) -> Tensor:
-        canvas = values.new_zeros(values.shape[1], *inside.shape)
-        canvas[:, inside] = values.T
-        return canvas
-
-    return Reconstruction(
-        normal=spread_out(fitted.normal),
-        albedo=spread_out(robust_fit.albedo_per_channel(fitted, colour, directions, model, sigma)),
-        roughness=spread_out(torch.full_like(fitted.albedo, sigma)),
-        residual=spread_out(fitted.residual),
-        confidence=spread_out(1 / (1 + (spread / math.radians(2)) ** 2)),
-        model=model,
-        scores=scores,
-        report=tuple(report),
-    )
+    return (dark | (lights == 3))[:, None]
 
 
 def _solve_batch(
@@ -264,9 +267,17 @@ def _check_conditioning(lights: Tensor, report: list[str]) -> None:
 
 
 def _undetermined(grey: Tensor) -> Tensor:
-    """Pixels with fewer than three observations that are clearly above zero, (P,) bool."""
+    """Pixels with fewer than three observations that are clearly above zero, (P,) bool; not all of them."""
     level = robust_fit.SHADOW * grey.amax(1, keepdim=True)
-    return (grey > level.clamp_min(0)).sum(1) < 3
+    dark = (grey > level.clamp_min(0)).sum(1) < 3
+    if bool(dark.all()):
+        raise CaptureError(
+            "images",
+            expected="pixels that at least 3 lights reach",
+            got="none inside the mask",
+            mend="check exposure, mask and the order of the lights",
+        )
+    return dark
 
 
 def _sample(dark: Tensor, seed: int) -> Tensor:
