@@ -48,6 +48,7 @@ def test_pixels_without_truth_are_left_out(unknown: float) -> None:
     truth[:, 0, 0] = unknown
     error = angular_error(estimate, truth, torch.ones(1, 1, 2, dtype=torch.bool))
     assert error.isnan().flatten().tolist() == [True, False]
+    assert error.summary()["pixels"] == 1
     assert error.summary()["mean"] == 0
 
 

@@ -152,7 +152,7 @@ def stereo(
     if error:
         out.print(
             f"normal error: mean {error['mean']:.2f}, median {error['median']:.2f} degrees over "
-            f"{written.numbers['pixels']} pixels",
+            f"{error['pixels']} of {written.numbers['pixels']} pixels",
             markup=False,
         )
     total = time.perf_counter() - begun

@@ -21,16 +21,18 @@ class AngularError(torch.Tensor):
     """
 
     def summary(self) -> dict[str, float]:
-        """Mean, median and 90th percentile in degrees, share of the foreground within 5, 10 and 20 degrees."""
+        """Mean, median and 90th percentile in degrees, shares within 5, 10 and 20 degrees, number of pixels."""
         values = self.as_subclass(torch.Tensor).double()
         values = values[values.isfinite()]
         if values.numel() == 0:
-            return dict.fromkeys(("mean", "median", "p90", "within_5", "within_10", "within_20"), float("nan"))
+            keys = ("mean", "median", "p90", "within_5", "within_10", "within_20")
+            return dict.fromkeys(keys, float("nan")) | {"pixels": 0}
         ordered = values.sort().values
         result = {
             "mean": values.mean().item(),
             "median": ordered[len(ordered) // 2].item(),
             "p90": ordered[int(0.9 * (len(ordered) - 1))].item(),
+            "pixels": values.numel(),
         }
         return result | {f"within_{d}": (values <= d).double().mean().item() for d in (5, 10, 20)}
 
