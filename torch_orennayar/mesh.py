@@ -14,7 +14,7 @@ from .errors import FileError, RangeError, ShapeError
 from .files import atomic_path
 
 MAX_FACES = 50_000_000
-"""Larger meshes are refused before their arrays are made."""
+"""Larger meshes are refused."""
 
 
 def load_mesh(path: str | os.PathLike[str]) -> tuple[Tensor, Tensor]:

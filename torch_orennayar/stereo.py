@@ -197,7 +197,9 @@ def _solve_batch(
     batch = len(images)
     for name, value, ndim in (("lights", lights, 3), ("mask", mask, 4)):
         if value is not None and (value.ndim != ndim or len(value) != batch):
-            raise ShapeError(name, expected=f"{batch} captures in a batch", got=str(tuple(value.shape)), mend="stack")
+            raise ShapeError(
+                name, expected=f"{batch} captures in a batch", got=str(tuple(value.shape)), mend="stack one per capture"
+            )
     found = [
         photometric_stereo(
             images[b], lights[b], None if mask is None else mask[b], model=model, robust=robust, seed=seed
