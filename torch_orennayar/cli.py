@@ -29,6 +29,7 @@ INTERRUPTED = 130
 """The exit status of a command that was stopped with Ctrl-C."""
 
 Output = Annotated[Path, typer.Option("-o", "--output", help="Folder for the results.")]
+Seed = Annotated[int, typer.Option(help="Seed of everything drawn at random.", min=0, max=2**63 - 1)]
 ModelName = Annotated[str, typer.Option(help="Reflectance model; `orennayar info` lists them.")]
 Roughness = Annotated[float, typer.Option(help="Roughness in degrees, 0 to 90.", min=0, max=90)]
 
@@ -37,7 +38,7 @@ Roughness = Annotated[float, typer.Option(help="Roughness in degrees, 0 to 90.",
 def demo(
     output: Output = Path("out"),
     size: Annotated[int, typer.Option(help="Height and width of the pictures.", min=32, max=1024)] = 256,
-    seed: Annotated[int, typer.Option(help="Seed of the noise.", min=0, max=2**63 - 1)] = 0,
+    seed: Seed = 0,
 ) -> None:
     """Render a rough object, recover it from the pictures, and write a report."""
     from .demo import run_demo
@@ -123,7 +124,7 @@ def stereo(
     mask: Annotated[Path | None, typer.Option(help="Mask image kept elsewhere; white is the object.")] = None,
     encoding: Annotated[str, typer.Option(help="auto (8-bit is sRGB), linear or srgb.")] = "auto",
     least_squares: Annotated[bool, typer.Option("--least-squares", help="Plain Lambertian least squares.")] = False,
-    seed: Annotated[int, typer.Option(help="Picks the pixels and lights that decide.", min=0)] = 0,
+    seed: Seed = 0,
 ) -> None:
     """Photographs under known lights in; normals, albedo, roughness, depth and a mesh out."""
     from .capture import load_capture

@@ -136,11 +136,9 @@ def render_normals(
 
 def _check(vertices: Tensor, faces: Tensor, camera: Camera, vertex_normals: Tensor | None) -> Tensor:
     """Shapes and values; vertices as (B, V, 3)."""
+    check_floating(vertices=vertices, vertex_normals=vertices if vertex_normals is None else vertex_normals)
     if vertices.ndim not in (2, 3) or vertices.shape[-1] != 3:
         raise ShapeError("vertices", expected="(V, 3) or (B, V, 3)", got=str(tuple(vertices.shape)), mend="reshape")
-    for name, value in (("vertices", vertices), ("vertex_normals", vertex_normals)):
-        if value is not None:
-            check_floating(**{name: value})
     if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype != torch.int64:
         raise ShapeError(
             "faces", expected="(F, 3) int64", got=f"{tuple(faces.shape)} {faces.dtype}", mend="triangulate; .long()"

@@ -134,7 +134,7 @@ def directional_albedo(
     check_range("cos_view", cos_view, 1e-6, 1 + 1e-6, "it is the cosine between normal and view")
     function = get_model(model).function
     dtype = cos_view.dtype
-    cos_view = cos_view.float() if dtype in (torch.float16, torch.bfloat16) else cos_view
+    cos_view = _working(cos_view, _working_dtype(dtype))
     albedo_tensor, sigma = _parameters(albedo, roughness, cos_view)
     node, weight = _gauss_legendre(cos_view)
     ci = node[:, None]  # (48, 1)

@@ -115,6 +115,7 @@ def photometric_stereo(
         >>> [round(v, 3) for v in found.normal.flatten().tolist()], round(found.albedo.item(), 3)
         ([0.0, 0.6, 0.8], 0.5)
     """
+    check_floating(images=images, lights=lights)
     if model != "auto":
         get_model(model)
     if not robust and model != "lambert":
@@ -223,7 +224,6 @@ def _solve_batch(
 
 def _check(images: Tensor, lights: Tensor, mask: Tensor | None) -> Tensor:
     """Shapes and units; the mask as (H, W) bool."""
-    check_floating(images=images, lights=lights)
     if images.ndim != 4 or 0 in images.shape:
         raise ShapeError("images", expected="(K, C, H, W)", got=str(tuple(images.shape)), mend="stack the images")
     if lights.shape != (len(images), 3):
