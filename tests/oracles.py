@@ -129,3 +129,75 @@ def cast_rays(
         hit = (margin > 0) & (depth >= near) & (depth < best)
         best, face = torch.where(hit, depth, best), torch.where(hit, index, face)
     return face, best, unsure
+
+
+def vcavity_traced(
+    ti: float,
+    to: float,
+    dphi: float,
+    rho: float,
+    sigma: float,
+    *,
+    count: int = 200_000,
+    bounces: int = 60,
+    seed: int = 0,
+) -> tuple[float, float]:
+    """``pi f_r cos(ti) / rho`` of V-grooves and its standard error, by tracing paths from the eye through all bounces.
+
+    Nothing here knows the theory's integrals: walls are half-planes of unit length that meet in a valley, rays are
+    tested against the facing wall by geometry, and every bounce is a random cosine-weighted direction.
+    """
+    draw = np.random.default_rng(seed)
+    l = np.array((math.sin(ti), 0.0, math.cos(ti)))  # noqa: E741
+    v = np.array((math.sin(to) * math.cos(dphi), math.sin(to) * math.sin(dphi), math.cos(to)))
+    # A wall's slope has density exp(-t^2 / 2 sigma^2) sin(t), its azimuth is uniform.
+    grid = np.linspace(0, math.pi / 2, 20_001)
+    density = np.exp(-(grid**2) / (2 * sigma**2)) * np.sin(grid)
+    heap = np.concatenate(([0.0], np.cumsum((density[1:] + density[:-1]) / 2)))
+    slope = np.interp(draw.random(count), heap / heap[-1], grid)
+    azimuth = draw.random(count) * 2 * math.pi
+    # Coordinates of a groove: x across it, y along it, z up; walls rise from the valley at x = 0. The wall that is
+    # seen lies at x < 0, so that its normal points to +x, the azimuth that was drawn.
+    turn = np.stack((np.cos(azimuth), np.sin(azimuth)), -1)
+
+    def local(d: np.ndarray) -> np.ndarray:
+        across, along = turn @ d[:2], turn[:, 0] * d[1] - turn[:, 1] * d[0]
+        return np.stack((across, along, np.full(count, d[2])), -1)
+
+    light, view = local(l), local(v)
+    cosine, sine = np.cos(slope), np.sin(slope)
+    side = np.full(count, -1.0)  # the wall at x < 0
+    place = draw.random(count)  # along the wall from the valley
+
+    def normal(side: np.ndarray) -> np.ndarray:
+        return np.stack((-side * sine, np.zeros(count), cosine), -1)
+
+    def meets(side: np.ndarray, place: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Whether a ray from ``place`` hits the facing wall between valley and ridge, and where."""
+        x, z = side * place * cosine, place * sine
+        # Points of the facing wall are u (-side cos, sin): solve x + t dx = -side u cos, z + t dz = u sin.
+        det = d[:, 0] * sine + side * cosine * d[:, 2]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            t = -(x * sine + side * cosine * z) / det
+            u = (z + t * d[:, 2]) / sine
+        hit = (t > 1e-12) & (u > 0) & (u < 1) & (sine > 0)
+        return hit, np.where(hit, u, 0)
+
+    facing = (view * normal(side)).sum(1)
+    weight = np.where((facing > 0) & ~meets(side, place, view)[0], facing / (cosine * math.cos(to)), 0)
+    total = np.zeros(count)
+    for _ in range(bounces):
+        n = normal(side)
+        received = np.clip((light * n).sum(1), 0, None) * ~meets(side, place, light)[0]
+        total += weight * received
+        radius, angle = np.sqrt(draw.random(count)), draw.random(count) * 2 * math.pi
+        tangent = np.stack((cosine, np.zeros(count), side * sine), -1)
+        up = np.sqrt(1 - radius**2)
+        out = (radius * np.cos(angle))[:, None] * tangent + up[:, None] * n
+        out[:, 1] += radius * np.sin(angle)
+        hit, place = meets(side, place, out)
+        weight = np.where(hit, weight * rho, 0)
+        side = -side
+        if not weight.any():
+            break
+    return float(total.mean()), float(total.std() / math.sqrt(count))
