@@ -35,3 +35,29 @@ def test_shade_mesh_draws_two_rows_of_three(tmp_path: Path) -> None:
     picture = read_image(tmp_path / "picture.png")
     assert picture.shape == (512, 768)
     assert (picture[:256] != picture[256:]).mean() > 0.1
+
+
+def test_custom_reflectance_draws_and_exports(tmp_path: Path) -> None:
+    import onnxruntime
+
+    from torch_orennayar import MODELS, OrenNayar
+    from torch_orennayar.reflectance import _models
+
+    example = load("custom_reflectance")
+    try:
+        example.main(str(tmp_path / "custom.png"))
+        assert read_image(tmp_path / "custom.png").ndim == 3
+        session = onnxruntime.InferenceSession(str(tmp_path / "custom.onnx"))
+        normal = torch.tensor([0.0, 0.6, 0.8]).reshape(1, 3, 1, 1)
+        up = torch.tensor([0.0, 0.0, 1.0]).reshape(1, 3, 1, 1)
+        feeds = {"normal": normal, "light": up, "view": up, "albedo": torch.ones(1, 1, 1, 1)}
+        feeds["roughness"] = torch.full((1, 1, 1, 1), 0.2)
+        (tone,) = session.run(None, {k: v.numpy() for k, v in feeds.items()})
+        wanted = OrenNayar("toon")(normal, up.reshape(1, 3), roughness=0.2)
+        assert abs(tone.item() - wanted.item()) <= 1e-5
+        # The second step, at ci = 0.8, is half taken: two tones and a half of three.
+        assert wanted.item() == pytest.approx(2.5 / 3, abs=1e-3)
+        assert {"minnaert", "toon"} <= set(MODELS)
+    finally:
+        for name in ("minnaert", "toon"):
+            _models.pop(name, None)

@@ -7,6 +7,7 @@ directions are unit vectors away from the surface; roughness in radians, 0 is La
 from ._version import __version__
 from .camera import Camera, swap_opencv_frame
 from .capture import Capture, load_capture
+from .choice import ModelChoice, simplest_model
 from .errors import (
     CaptureError,
     ExportError,
@@ -21,9 +22,10 @@ from .images import decode_normals, encode_normals, linear_to_srgb, srgb_to_line
 from .integrate import integrate_normals
 from .mesh import load_mesh, save_mesh
 from .metrics import AngularError, angular_error
-from .reflectance import MODELS, Model, register_model
+from .reflectance import MODELS, Model, register_model, roughness_from_slope, slope_from_roughness
 from .render import NormalMap, render_normals
 from .shading import OrenNayar, brdf, directional_albedo, oren_nayar, point_light
+from .specular import blinn_phong, microfacet, phong
 from .stereo import Reconstruction, photometric_stereo
 
 __all__ = [
@@ -35,6 +37,7 @@ __all__ = [
     "ExportError",
     "FileError",
     "Model",
+    "ModelChoice",
     "ModelError",
     "NormalMap",
     "OrenNayar",
@@ -44,6 +47,7 @@ __all__ = [
     "TorchOrenNayarError",
     "__version__",
     "angular_error",
+    "blinn_phong",
     "brdf",
     "decode_normals",
     "directional_albedo",
@@ -53,12 +57,17 @@ __all__ = [
     "linear_to_srgb",
     "load_capture",
     "load_mesh",
+    "microfacet",
     "oren_nayar",
+    "phong",
     "photometric_stereo",
     "point_light",
     "register_model",
     "render_normals",
+    "roughness_from_slope",
     "save_mesh",
+    "simplest_model",
+    "slope_from_roughness",
     "srgb_to_linear",
     "swap_opencv_frame",
 ]

@@ -157,7 +157,7 @@ def _trace(layer: nn.Module, example: tuple[Tensor, ...], per_pixel: bool) -> on
         "roughness": {0: batch} | area,
     }
     try:
-        with _quiet():
+        with quiet():
             program = torch.onnx.export(
                 layer,
                 example,
@@ -182,7 +182,7 @@ def _trace(layer: nn.Module, example: tuple[Tensor, ...], per_pixel: bool) -> on
 
 
 @contextmanager
-def _quiet() -> Iterator[None]:
+def quiet() -> Iterator[None]:
     """The exporter prints and logs its steps; a library call should not."""
     loggers = [logging.getLogger(name) for name in ("torch.onnx", "onnxscript", "onnx_ir")]
     levels = [logger.level for logger in loggers]

@@ -11,14 +11,18 @@ with the albedo cut to [0, 1], outside of which the inter-reflection series mean
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
 import torch
 from torch import Tensor
 
+from ._checks import check_range
+from ._coefficients import VCAVITY_LINEAR, VCAVITY_SHAPE
 from .errors import ModelError
+from .theory import theory
 
 ModelFunction = Callable[[Tensor, Tensor, Tensor, Tensor, Tensor], Tensor]
 
@@ -100,35 +104,38 @@ def _sine(cosine: Tensor) -> Tensor:
 
 
 def vcavity(ci: Tensor, co: Tensor, lv: Tensor, rho: Tensor, sigma: Tensor) -> Tensor:
-    """Rational fit to the V-cavity theory with all bounces; smooth and reciprocal.
+    """Closed-form fit to the V-cavity theory with all bounces; smooth and reciprocal (``scripts/fit_vcavity.py``)."""
+    # The floor acts on dark surfaces rougher than 80 degrees alone, light and view opposite at the horizon.
+    return vcavity_form(ci, co, lv, rho, sigma, VCAVITY_SHAPE, VCAVITY_LINEAR).clamp_min(0)
 
-    The natural variable is ``ci**2 + co**2 - 2 ci co lv``: masking grows with |tan ti - tan to|
-    along the groove. ``r1`` is the first bounce, ``r2`` the second, ``tail`` all the others.
+
+def vcavity_form(
+    ci: Tensor, co: Tensor, lv: Tensor, rho: Tensor, sigma: Tensor, shape: Sequence[float], linear: Sequence[float]
+) -> Tensor:
+    """The form of `vcavity` with 7 shape constants and 24 linear coefficients, which its fit moves.
+
+    ``u`` is masking and shadowing, one factor for each direction. ``r`` knows how far light and view are apart
+    as a groove sees it: masking grows with |tan ti - tan to| along the groove, so the natural variable is
+    ``ci**2 + co**2 - 2 ci co lv``. ``y`` is 0 for a smooth surface. ``first`` is the light of one
+    bounce; ``second`` and ``later``, times ``rho`` and ``rho / (1 - beta rho)``, are all others.
     """
+    c, beta, k0, k1, k2, kappa, turn = shape
+    a, b, d = linear[:14], linear[14:19], linear[19:]
     x = sigma * sigma
-    y = x / (x + 0.384)
-    k = 0.001 + 1.04 * x / (1 + 1.55 * x)
-    kappa = 3.641
-    bounce_rho = rho.clamp(0, 1)
+    y = x / (x + c)
+    bounce = rho.clamp(0, 1)
     q, p, s, h = ci * co, ci + co, lv - ci * co, 1 + lv
-    u = torch.rsqrt((k + (1 - k) * ci * ci) * (k + (1 - k) * co * co))
-    r = torch.rsqrt((1 + kappa) * (ci * ci + co * co) + 2 * q * (1 - kappa * lv) + 1e-12)
-    qr, pr = q * r, p * r
-    r1 = 1 + y * (-0.236 + y * (-0.6721 + 0.5907 * y)) + 0.356 * y * y * s * p
-    r1 = r1 + u * (
-        s * (0.3263 * y + y * (0.1289 + y * (0.5742 - 1.1969 * y)) * q * u)
-        + h * (y * (0.016 + y * (0.3286 - 0.0404 * y)) * r + 1.1862 * y * y * qr * r)
-        - h * y * (0.0618 + 0.4584 * y) * pr
-    )
-    r2 = y * (0.3977 + y * (-0.4146 + 0.2482 * y)) - 0.8216 * y * y * y * s * q
-    r2 = r2 + u * (
-        s * (-0.0689 * y * y * y * u + y * y * (-1.3112 + 1.8154 * y) * q)
-        + y * y * (1.4323 - 0.8203 * y) * qr
-        - 0.2074 * y * y * p * pr
-    )
-    tail = (y * y) * ((0.272 - 0.2216 * y) + (0.9775 - 0.7173 * y) * qr)
-    tail = tail * bounce_rho * bounce_rho / (1 + y * (5.544 * bounce_rho - 6.129 * bounce_rho**1.348))
-    return rho * (r1 + bounce_rho * r2 + tail)
+    ii, oo, yy = ci * ci, co * co, y * y
+    k = k0 + y * (k1 + k2 * y)
+    u = y / torch.sqrt((k + (1 - k) * ii) * (k + (1 - k) * oo))
+    r = torch.rsqrt(p * p + (kappa + turn * y) * (ii + oo - 2 * q * lv) + 1e-12)
+    pr, qr, hr = p * r, q * r, h * r
+    first = 1 + y * (a[0] * hr * qr + a[1] * pr + a[2] * qr + a[3] * yy * p)
+    first = first + u * (hr * (a[4] + y * (a[5] + a[6] * q + a[7] * pr)) + s * (a[8] + a[9] * s + a[10] * yy * p))
+    first = first + u * (a[11] * y + u * (a[12] + a[13] * p))
+    second = y * (b[0] + b[1] * yy + b[2] * p + u * (b[3] * qr * r + b[4] * hr * p))
+    later = y * (y * (d[0] + y * (d[1] * q + d[2] * h)) + u * (d[3] * q + d[4] * u * s * s))
+    return rho * (first + bounce * second + bounce / (1 - beta * bounce) * later)
 
 
 def eon(ci: Tensor, co: Tensor, lv: Tensor, rho: Tensor, sigma: Tensor) -> Tensor:
@@ -160,6 +167,55 @@ def _eon_g(cosine: Tensor) -> Tensor:
     """G(theta)/pi of the EON paper, its published polynomial in ``1 - cos``."""
     m = 1 - cosine
     return m * (0.0571085289 + m * (0.491881867 + m * (-0.332181442 + m * 0.0714429953)))
+
+
+def slope_from_roughness(roughness: Tensor) -> Tensor:
+    """Standard deviation of the elevation gradient (rise over run) for that of the slope angle: ``tan``.
+
+    Oren and Nayar's roughness is the standard deviation of the facets' slope *angle*; some texts use that of
+    the elevation *gradient* instead. The two differ by a third of the cube, so they agree for small values.
+    The tangent takes the facets one standard deviation from flat to the same facets; moments of the gradient
+    are of no use, since those of a normal distribution of angles do not exist.
+
+    Args:
+        roughness: radians in [0, pi/2), any shape, differentiable.
+
+    Returns:
+        The gradient's standard deviation, a ratio without unit.
+
+    Raises:
+        RangeError: roughness out of range.
+
+    Example:
+        >>> import torch, torch_orennayar as ton
+        >>> round(ton.slope_from_roughness(torch.tensor(0.1)).item(), 4)
+        0.1003
+    """
+    check_range("roughness", roughness, 0.0, math.pi / 2 - 1e-6, "it is in radians, below pi/2")
+    return roughness.tan()
+
+
+def roughness_from_slope(slope: Tensor) -> Tensor:
+    """Roughness (standard deviation of the slope angle, radians) for that of the elevation gradient: ``atan``.
+
+    The inverse of `slope_from_roughness`, which says what is kept.
+
+    Args:
+        slope: >= 0, rise over run, any shape, differentiable.
+
+    Returns:
+        Radians in [0, pi/2).
+
+    Raises:
+        RangeError: a negative slope.
+
+    Example:
+        >>> import torch, torch_orennayar as ton
+        >>> round(ton.roughness_from_slope(torch.tensor(0.5)).item(), 4)
+        0.4636
+    """
+    check_range("slope", slope, 0.0, math.inf, "it is a standard deviation")
+    return slope.atan()
 
 
 def register_model(
@@ -240,6 +296,7 @@ _models: dict[str, Model] = {
         Model("full", full, "Oren & Nayar 1994, eqs. 27-29", 2.7, 0.036, _KINKS),
         Model("vcavity", vcavity, "this project's rational fit to the V-cavity theory, all bounces", 3.6, 0.0036),
         Model("eon", eon, "Portsmouth, Kutz & Hill 2024", 1.9, 0.083, _KINKS),
+        Model("theory", theory, "Oren & Nayar 1994: the V-cavity integral, with all bounces", 30000.0, 0.00005),
     )
 }
 MODELS: Mapping[str, Model] = MappingProxyType(_models)

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from ._checks import check_axis, check_broadcast, check_channels, check_floating, check_range, check_unit, checking
+from .choice import ModelChoice, simplest_model
 from .errors import ShapeError
 from .reflectance import get_model
 
@@ -201,11 +202,17 @@ class OrenNayar(nn.Module):
     """`oren_nayar` as a layer, with an axis for several lights.
 
     Args:
-        model: a name in ``MODELS``.
+        model: a name in ``MODELS``, or ``"auto"``: what `simplest_model` picks for roughness up to 60 degrees,
+            any albedo and any angle. For a narrower scene pass ``simplest_model(roughness=..., ...)`` itself.
         dim: the axis of x, y, z in the normals.
+        tolerance: the RMS error that ``"auto"`` may have; ``choice.reason`` says what it bought.
+
+    Attributes:
+        model: the name of the model in use.
+        choice: the `ModelChoice` where one was made, with its reason, otherwise None.
 
     Raises:
-        ModelError: unknown ``model``.
+        ModelError: unknown ``model``, or none within ``tolerance``.
 
     Example:
         >>> import torch, torch_orennayar as ton
@@ -215,8 +222,11 @@ class OrenNayar(nn.Module):
         torch.Size([2, 7, 1, 4, 5])
     """
 
-    def __init__(self, model: str = "qualitative", dim: int = 1) -> None:
+    def __init__(self, model: str = "qualitative", dim: int = 1, *, tolerance: float = 0.01) -> None:
         super().__init__()
+        if model == "auto":
+            model = simplest_model(tolerance=tolerance)
+        self.choice = model if isinstance(model, ModelChoice) else None
         self.model = get_model(model).name
         self.dim = dim
 
@@ -354,6 +364,21 @@ def _working(tensor: Tensor, dtype: torch.dtype) -> Tensor:
     return wider
 
 
+def _finite(tensor: Tensor) -> Tensor:
+    """0 where ``tensor`` is NaN or infinite; one selection where it is compiled, one pass where it is not."""
+    if torch.compiler.is_compiling():
+        return torch.where(tensor.abs() < math.inf, tensor, 0.0)
+    return tensor.nan_to_num(0.0, 0.0, 0.0)
+
+
+def _dot(a: Tensor, b: Tensor, axis: int) -> Tensor:
+    """The dot product along ``axis``, kept as 1: written out, since compilers make slow loops of sums over 3."""
+    if not torch.compiler.is_compiling():
+        return (a * b).sum(axis, keepdim=True)
+    x, y, z = (a.narrow(axis, k, 1) * b.narrow(axis, k, 1) for k in range(3))
+    return x + y + z
+
+
 def _parameters(albedo: Tensor | float, roughness: Tensor | float, like: Tensor) -> tuple[Tensor, Tensor]:
     """Albedo and roughness checked and as tensors beside ``like``."""
     check_range("albedo", albedo, 0.0, math.inf, "clamp it, or learn it through softplus or sigmoid")
@@ -393,12 +418,9 @@ def _evaluate(
     dtype = _working_dtype(_result_dtype(*tensors))
     # Where checks cannot look (compiled, vmap), a background of NaN must still not reach a gradient.
     n, l, v, rho, sigma = (  # noqa: E741
-        _working(t, dtype).nan_to_num(0.0, 0.0, 0.0)
-        for t in (normal, light, view, *_parameters(albedo, roughness, normal))
+        _finite(_working(t, dtype)) for t in (normal, light, view, *_parameters(albedo, roughness, normal))
     )
-    ci = (n * l).sum(axis, keepdim=True)
-    co = (n * v).sum(axis, keepdim=True)
-    lv = (l * v).sum(axis, keepdim=True)
+    ci, co, lv = _dot(n, l, axis), _dot(n, v, axis), _dot(l, v, axis)
     facing = (ci > 0) & (co > 0)
     # The floor keeps 1 / max(ci, co)**2 inside the format; it is far below any cosine that shows.
     floor = torch.finfo(dtype).tiny ** 0.25
