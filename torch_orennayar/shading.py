@@ -416,12 +416,13 @@ def _evaluate(
     check_channels(axis, albedo=albedo)
     check_broadcast(axis, normal=normal, light=light, view=view, albedo=albedo, roughness=roughness)
     dtype = _working_dtype(_result_dtype(*tensors))
-    # Where checks cannot look (compiled, vmap), a background of NaN must still not reach a gradient.
-    n, l, v, rho, sigma = (  # noqa: E741
-        _finite(_working(t, dtype)) for t in (normal, light, view, *_parameters(albedo, roughness, normal))
-    )
+    scene = [_working(t, dtype) for t in (normal, light, view, *_parameters(albedo, roughness, normal))]
+    if not torch.compiler.is_compiling() or (torch.is_grad_enabled() and any(t.requires_grad for t in scene)):
+        # Where checks cannot look (compiled, vmap), a background of NaN must still not reach a gradient.
+        scene = [_finite(t) for t in scene]
+    n, l, v, rho, sigma = scene  # noqa: E741
     ci, co, lv = _dot(n, l, axis), _dot(n, v, axis), _dot(l, v, axis)
-    facing = (ci > 0) & (co > 0)
+    facing = (torch.minimum(ci, co) > 0) & (ci + co < math.inf)
     # The floor keeps 1 / max(ci, co)**2 inside the format; it is far below any cosine that shows.
     floor = torch.finfo(dtype).tiny ** 0.25
     ci = torch.where(facing, ci, 1.0)

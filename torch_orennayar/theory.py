@@ -88,7 +88,7 @@ def _exchange(slope: Tensor) -> Tensor:
     seen = (slope[..., None] + angle).sin()
     ratio = (slope[..., None] - angle).sin() / seen.clamp_min(1e-30)
     power = torch.arange(1, MODES + 1, device=slope.device)
-    k = 0.5 * slope[..., None] * (ratio[..., None] ** power * (seen * weight)[..., None]).sum(-2)
+    k = 0.5 * slope[..., None] * (_powers(ratio, MODES)[..., 1:] * (seen * weight)[..., None]).sum(-2)
     moments = (k[..., :, None] + k[..., None, :]) / (power[:, None] + power[None, :] - 1)
     basis = _legendre(MODES)[0].to(slope)
     return basis @ moments @ basis.T
@@ -153,5 +153,12 @@ def _string(x: Tensor | float, y: Tensor | float, turn: Tensor) -> Tensor:
 
 def _lit_moments(start: Tensor) -> Tensor:
     """Integrals of the polynomials from ``start`` to 1, (..., MODES)."""
-    integrals = _legendre(MODES)[1].to(start)
-    return (start[..., None] ** torch.arange(MODES + 1, device=start.device)) @ integrals.T
+    return _powers(start, MODES) @ _legendre(MODES)[1].to(start).T
+
+
+def _powers(x: Tensor, highest: int) -> Tensor:
+    """``x ** 0, 1, ... highest`` along a new last axis, by products: ``**`` has no second derivative at 0."""
+    powers = [torch.ones_like(x)]
+    for _ in range(highest):
+        powers.append(powers[-1] * x)
+    return torch.stack(powers, -1)
