@@ -226,6 +226,7 @@ def describe() -> dict[str, dict[str, str]]:
 def draw_chart(data: dict[str, dict], path: Path) -> None:  # type: ignore[type-arg]
     """Error against time with the frontier, and error by roughness."""
     from matplotlib.figure import Figure
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     figure = Figure(figsize=(13, 5.2), layout="constrained")
     axes = figure.subplots(1, 3, width_ratios=(1.15, 1.15, 1))
@@ -236,8 +237,14 @@ def draw_chart(data: dict[str, dict], path: Path) -> None:  # type: ignore[type-
         for name, (x, y) in points.items():
             model = data[name]["about"]["kind"] == "model"
             axis.plot(x, y, "o" if model else "x", color="#1b3a6b" if model else "#999", ms=6)
-            axis.annotate(name, (x, y), xytext=(5, 4), textcoords="offset points", fontsize=8)
-        axis.set(xscale="log", yscale="log", xlabel=f"ms per megapixel, {kind}", ylabel="RMS error, all bounces")
+            place = {"xytext": (6, 4)} if model else {"xytext": (6, -9)}
+            axis.annotate(name, (x, y), **place, textcoords="offset points", fontsize=8, color="k" if model else "#777")
+        axis.set(xscale="log", yscale="log", xlabel="ms per megapixel", ylabel="RMS error, all bounces")
+        plain = LogLocator(subs=(1, 2, 5)), FuncFormatter(lambda value, _: f"{value:g}")
+        for ruler in (axis.xaxis, axis.yaxis):
+            ruler.set_major_locator(plain[0])
+            ruler.set_major_formatter(plain[1])
+            ruler.set_minor_formatter(NullFormatter())
         axis.set_title({"compiled forward": "torch.compile, forward", "eager both": "eager, with gradients"}[kind])
         axis.grid(alpha=0.2, which="both")
         axis.margins(x=0.15)
@@ -282,18 +289,18 @@ def draw_cylinder(path: Path, sigma: float = math.radians(40), rho: float = 0.8)
 
 
 def draw_materials(found: dict[str, dict], path: Path) -> None:  # type: ignore[type-arg]
-    """What each model gains on measured materials over Lambert, and for how many it is the simplest that suffices."""
+    """What roughness gains on measured materials, and for how many each model is the simplest that suffices."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(11, 4), layout="constrained")
     left, right = figure.subplots(1, 2)
-    flat = np.array([error for error, _ in found["lambert"]["materials"].values()])
+    flat = np.array([row[1] for row in found["lambert"]["materials"].values()])
     for name, d in found.items():
-        error = np.array([error for error, _ in d["materials"].values()])
         if name != "lambert":
-            left.plot(np.sort(flat - error)[::-1][:40] * 100, label=name)
-    left.set(xlabel="materials, most helped first", ylabel="relative RMS below Lambert's, in points")
-    left.set_title("what roughness explains (first 40 materials)")
+            gain = flat - np.array([row[1] for row in d["materials"].values()])
+            left.plot(np.sort(gain)[::-1][:60] * 100, label=name)
+    left.set(xlabel="materials, most helped first (60 of 151)", ylabel="relative RMS below Lambert's, in points")
+    left.set_title("what roughness gains, highlight fitted too")
     left.legend(fontsize=8)
     left.grid(alpha=0.2)
     names = list(found)[::-1]
