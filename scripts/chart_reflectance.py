@@ -240,10 +240,9 @@ def draw_chart(data: dict[str, dict], path: Path) -> None:  # type: ignore[type-
             place = {"xytext": (6, 4)} if model else {"xytext": (6, -9)}
             axis.annotate(name, (x, y), **place, textcoords="offset points", fontsize=8, color="k" if model else "#777")
         axis.set(xscale="log", yscale="log", xlabel="ms per megapixel", ylabel="RMS error, all bounces")
-        plain = LogLocator(subs=(1, 2, 5)), FuncFormatter(lambda value, _: f"{value:g}")
         for ruler in (axis.xaxis, axis.yaxis):
-            ruler.set_major_locator(plain[0])
-            ruler.set_major_formatter(plain[1])
+            ruler.set_major_locator(LogLocator(subs=(1, 2, 5)))
+            ruler.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
             ruler.set_minor_formatter(NullFormatter())
         axis.set_title({"compiled forward": "torch.compile, forward", "eager both": "eager, with gradients"}[kind])
         axis.grid(alpha=0.2, which="both")

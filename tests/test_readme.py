@@ -23,7 +23,8 @@ def test_python_blocks_run_in_order(
     names: dict[str, object] = {}
     for block in blocks:
         exec(block, names)
-    assert len(blocks) == 3
+    assert len(blocks) == 4
+    assert names["choice"] == "fujii"
     assert tuple(names["images"].shape) == (2, 7, 1, 64, 64)  # type: ignore[attr-defined]
     assert names["sigma"].grad.isfinite()  # type: ignore[attr-defined]
     assert capsys.readouterr().out.startswith("vcavity {'lambert'")
