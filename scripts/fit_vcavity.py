@@ -27,6 +27,7 @@ from truth import Directions, cosine_weighted, from_angles, grazing, horizon, jo
 
 from torch_orennayar import reflectance
 from torch_orennayar._coefficients import VCAVITY_LINEAR, VCAVITY_SHAPE
+from torch_orennayar.theory import gauss_legendre
 
 TARGET = Path(reflectance.__file__).with_name("_coefficients.py")
 ROUGHNESS = torch.arange(5, 91, 5, dtype=torch.float64)
@@ -34,6 +35,7 @@ ALBEDO = torch.tensor([0.05, 0.2, 0.5, 0.9, 1.0], dtype=torch.float64)
 JUDGED_ROUGHNESS, JUDGED_ALBEDO = (5, 10, 20, 30, 40, 50, 60), (0.2, 0.5, 0.9)
 VIEWS = torch.tensor([0.03, 0.08, 0.15, 0.25, 0.4, 0.6, 0.8, 0.95], dtype=torch.float64)
 WHITE = 0.04  # weight of the white furnace
+START = (0.5677, 0.7984, 0.0028, 1.0221, 2.6028, 3.7791, 0.5148)  # shape constants that the selection ended with
 STEPS = 800
 
 
@@ -52,9 +54,8 @@ def columns(pairs: Directions, shape: list[float], rho: Tensor = ALBEDO) -> tupl
 
 
 def furnace(shape: list[float]) -> tuple[Tensor, Tensor]:
-    """`columns` of a white surface, integrated over the light: (S, V) and (S, V, 20) for V views; the truth is 1."""
-    node, weight = (t.double() for t in map(torch.from_numpy, np.polynomial.legendre.leggauss(12)))
-    node, weight = (node + 1) / 2, weight / 2
+    """`columns` of a white surface, integrated over the light: (S, V) and (S, V, 24) for V views; the truth is 1."""
+    node, weight = gauss_legendre(12)
     ci, co, turn = (t.reshape(-1) for t in torch.meshgrid(node, VIEWS, torch.pi * node, indexing="ij"))
     base, parts = columns(from_angles(ci.acos(), co.acos(), turn), shape, torch.ones(1, dtype=torch.float64))
     share = (2 * node * weight)[:, None, None] * weight  # light's cosine, view, azimuth
@@ -86,8 +87,7 @@ def fit() -> tuple[list[float], list[float]]:
     pairs = join(cosine_weighted(2500, 1), grazing(700, 2), horizon(600, 4))
     truth = theory(pairs, ROUGHNESS.deg2rad(), ALBEDO, "theory, training").sum(-1)
     pixel = ((pairs.ci.square() + pairs.co.square()) / 2).sqrt()
-    part = torch.arange(len(pairs))
-    pixel = torch.where(part < 2500, pixel, 0.6 * pixel)
+    pixel[2500:] *= 0.6
     emphasis = np.interp(ROUGHNESS.numpy(), [5, 10, 20, 60, 65, 90], [1.3, 1.2, 1, 1, 0.25, 0.15])
     weight = torch.from_numpy(emphasis)[:, None, None] * pixel[:, None]
     # The simplex walks on every fifth direction; the final solution is from all of them.
@@ -101,7 +101,7 @@ def fit() -> tuple[list[float], list[float]]:
         with np.errstate(all="ignore"):
             return solve(some, shape.tolist(), truth[:, few], weight[:, few])[1]
 
-    start = np.array(VCAVITY_SHAPE)
+    start = np.array(START)
     corners = start + np.vstack((np.zeros(len(start)), np.diag(0.15 * np.abs(start) + 0.01)))
     corners[:, 1] = np.minimum(corners[:, 1], 0.85)
     options = {"maxiter": STEPS, "xatol": 1e-5, "fatol": 1e-8, "initial_simplex": corners}

@@ -7,6 +7,7 @@ import json
 import logging
 import math
 import os
+import re
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stdout
@@ -174,7 +175,7 @@ def _trace(layer: nn.Module, example: tuple[Tensor, ...], per_pixel: bool) -> on
         raise ExportError(
             "model",
             expected="a reflectance function that torch.onnx can export",
-            got=f"{type(error).__name__}: {str(error).splitlines()[0] if str(error) else ''}",
+            got=f"{type(error).__name__}: {re.sub(chr(27) + '[^m]*m', '', str(error)).partition(chr(10))[0]}",
             mend="build it from element-wise torch operations without Python branches on values",
         ) from error
     _name_axes(graph)

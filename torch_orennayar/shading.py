@@ -15,6 +15,7 @@ from ._checks import check_axis, check_broadcast, check_channels, check_floating
 from .choice import ModelChoice, simplest_model
 from .errors import ShapeError
 from .reflectance import get_model
+from .theory import gauss_legendre
 
 MAX_ROUGHNESS = math.pi / 2 + 1e-6
 
@@ -111,7 +112,8 @@ def directional_albedo(
 ) -> Tensor:
     """Share of light from one direction that leaves the surface again: the integral of ``f_r n.l``.
 
-    A product rule of 48 x 48 Gauss-Legendre nodes, within 1e-3 for every model; by reciprocity the same
+    A product rule of 48 x 48 Gauss-Legendre nodes, within 1e-3 for every model (a second for each value of the slow
+    `theory`); by reciprocity the same
     for light and view. Differentiable in all arguments.
 
     Args:
@@ -137,7 +139,7 @@ def directional_albedo(
     dtype = cos_view.dtype
     cos_view = _working(cos_view, _working_dtype(dtype))
     albedo_tensor, sigma = _parameters(albedo, roughness, cos_view)
-    node, weight = _gauss_legendre(cos_view)
+    node, weight = (t.to(cos_view) for t in gauss_legendre(48))
     ci = node[:, None]  # (48, 1)
     cos_phi = (torch.pi * node)[None, :].cos()  # (1, 48), half of the circle
     co = cos_view[..., None, None]
@@ -145,14 +147,6 @@ def directional_albedo(
     lv = ci * co + (1 - ci * ci).sqrt() * ((1 - co) * (1 + co)).clamp_min(1e-12).sqrt() * cos_phi
     value = function(ci, co, lv, albedo_tensor[..., None, None], sigma[..., None, None])
     return (value * ci * 2 * weight[:, None] * weight[None, :]).sum((-2, -1)).to(dtype)
-
-
-def _gauss_legendre(like: Tensor) -> tuple[Tensor, Tensor]:
-    """Nodes and weights on [0, 1]."""
-    import numpy as np
-
-    node, weight = np.polynomial.legendre.leggauss(48)
-    return like.new_tensor((node + 1) / 2), like.new_tensor(weight / 2)
 
 
 def point_light(points: Tensor, position: Tensor, intensity: Tensor | float, *, dim: int = 1) -> tuple[Tensor, Tensor]:

@@ -56,7 +56,7 @@ def reflectance_by_bounces(ci: Tensor, co: Tensor, lv: Tensor, sigma: Tensor, rh
 
 
 @cache
-def _gauss(count: int) -> tuple[Tensor, Tensor]:
+def gauss_legendre(count: int) -> tuple[Tensor, Tensor]:
     """Gauss-Legendre nodes and weights on [0, 1]."""
     node, weight = np.polynomial.legendre.leggauss(count)
     return torch.from_numpy((node + 1) / 2), torch.from_numpy(weight / 2)
@@ -83,7 +83,7 @@ def _exchange(slope: Tensor) -> Tensor:
     The kernel is homogeneous, so moments of x^i y^j are ``(k_i + k_j) / (i + j + 1)`` with
     ``k_j`` the integral of t^j K(1, t), here over the angle under which a point sees the other wall.
     """
-    node, weight = (t.to(slope) for t in _gauss(16))
+    node, weight = (t.to(slope) for t in gauss_legendre(16))
     angle = slope[..., None] * node
     seen = (slope[..., None] + angle).sin()
     ratio = (slope[..., None] - angle).sin() / seen.clamp_min(1e-30)
@@ -96,7 +96,7 @@ def _exchange(slope: Tensor) -> Tensor:
 
 def _integrate(ci: Tensor, co: Tensor, lv: Tensor, sigma: Tensor, rho: Tensor) -> Tensor:
     """One chunk of `reflectance_by_bounces`; inside, axes are direction, slope, azimuth."""
-    node, weight = (t.to(ci) for t in _gauss(SLOPES))
+    node, weight = (t.to(ci) for t in gauss_legendre(SLOPES))
     reach = (_REACH * sigma).clamp_max(math.pi / 2)[:, None]
     slope = reach * node
     cosine, sine = slope.cos(), slope.sin()
