@@ -7,11 +7,14 @@ lambert at sigma = 0, f_r with light and view exchanged, shading of the rotated 
 most directional albedo. Error: RMS and maximum of the shading Y = pi f_r cos / albedo against the V-cavity theory,
 over the rows of FOLDER/theory/vcavity_reference.npz (default: $TORCH_ORENNAYAR_DATA) with sigma from 5 to 60 degrees,
 grazing slice left out; the ray tracer's own noise is taken out of the all-bounce RMS. Cost: eager forward time of one
-megapixel on this machine over that of lambert, medians of interleaved runs.
+megapixel on this machine over that of lambert, medians of interleaved runs. Compiled cost: forward time over the memory
+floor, a compiled kernel that reads and writes the same bytes and computes next to nothing, for a picture that may fit
+in a processor's cache and for one that does not.
 """
 
 from __future__ import annotations
 
+import functools
 import math
 import os
 import sys
@@ -49,13 +52,7 @@ def errors(table: dict[str, Tensor]) -> dict[str, tuple[float, float, float]]:
 
 def costs() -> dict[str, tuple[float, float, float]]:
     """Eager forward time over lambert's: median, least and most of the interleaved runs."""
-    generator = torch.Generator().manual_seed(0)
-    normal = F.normalize(torch.randn(1, 3, SIZE, SIZE, generator=generator), dim=1)
-    light, view = (F.normalize(torch.randn(1, 3, 1, 1, generator=generator), dim=1) for _ in range(2))
-    albedo = torch.rand(1, 1, SIZE, SIZE, generator=generator)
-    roughness = torch.rand(1, 1, SIZE, SIZE, generator=generator)
-    scene = normal, light, view, albedo, roughness
-    small = normal[..., :32, :32], light, view, albedo[..., :32, :32], roughness[..., :32, :32]
+    scene, small = random_scene(SIZE), random_scene(32)
     seconds: dict[str, list[float]] = {name: [] for name in MODELS}
     for _ in range(RUNS + 1):
         for name, taken in seconds.items():
@@ -63,10 +60,48 @@ def costs() -> dict[str, tuple[float, float, float]]:
             begun = time.perf_counter()
             oren_nayar(*(small if name == "theory" else scene), model=name)
             taken.append((time.perf_counter() - begun) / share)
-    ratios = {
-        name: [a / b for a, b in zip(taken, seconds["lambert"], strict=True)][1:] for name, taken in seconds.items()
-    }
-    return {name: (median(r), min(r), max(r)) for name, r in ratios.items()}
+    return ratios(seconds, "lambert")
+
+
+def random_scene(size: int) -> tuple[Tensor, ...]:
+    """Normals, light, view, albedo, roughness."""
+    generator = torch.Generator().manual_seed(0)
+    normal = F.normalize(torch.randn(1, 3, size, size, generator=generator), dim=1)
+    light, view = (F.normalize(torch.randn(1, 3, 1, 1, generator=generator), dim=1) for _ in range(2))
+    albedo, roughness = (torch.rand(1, 1, size, size, generator=generator) for _ in range(2))
+    return normal, light, view, albedo, roughness
+
+
+def ratios(seconds: dict[str, list[float]], to: str) -> dict[str, tuple[float, float, float]]:
+    """Median, least and most of each entry's time over that of ``to`` in the same run, the first two runs left out."""
+    result = {}
+    for name, taken in seconds.items():
+        r = [a / b for a, b in zip(taken, seconds[to], strict=True)][2:]
+        result[name] = (median(r), min(r), max(r))
+    return result
+
+
+def floor(normal: Tensor, light: Tensor, view: Tensor, albedo: Tensor, roughness: Tensor) -> Tensor:
+    """The bytes of a model without its work."""
+    x, y, z = (normal[:, k : k + 1] * light[:, k : k + 1] for k in range(3))
+    return albedo * (x + y + z).clamp_min(0) * (1 + 1e-9 * roughness)
+
+
+def compiled_costs(size: int) -> dict[str, tuple[float, float, float]]:
+    """Compiled forward time over the floor's: median, least and most of the interleaved runs."""
+    torch._dynamo.config.recompile_limit = 100
+    calls = {"floor": torch.compile(floor, fullgraph=True)}
+    for name in set(MODELS) - {"theory"}:
+        calls[name] = torch.compile(functools.partial(oren_nayar, model=name), fullgraph=True)
+    scene = random_scene(size)
+    seconds: dict[str, list[float]] = {name: [] for name in calls}
+    with torch.no_grad():
+        for _ in range(3 * RUNS):
+            for name, call in calls.items():
+                begun = time.perf_counter()
+                call(*scene)
+                seconds[name].append(time.perf_counter() - begun)
+    return ratios(seconds, "floor")
 
 
 def properties(name: str) -> tuple[float, float, float, float, float]:
@@ -103,6 +138,11 @@ def main() -> None:
     """Print the properties, then error and cost."""
     print_properties()
     print()
+    for size in (SIZE, 4 * SIZE):
+        print(f"compiled forward over the memory floor at {size} x {size}: median (least to most)")
+        for name, (middle, least, most) in sorted(compiled_costs(size).items(), key=lambda item: item[1]):
+            print(f"{name:18}{middle:6.2f}  ({least:.2f} to {most:.2f})")
+        print()
     place = sys.argv[1] if len(sys.argv) > 1 else os.environ.get("TORCH_ORENNAYAR_DATA", "")
     file = Path(place) / "theory" / "vcavity_reference.npz"
     if not file.is_file():

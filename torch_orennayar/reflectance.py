@@ -290,13 +290,13 @@ _models: dict[str, Model] = {
     m.name: m
     for m in (
         Model("lambert", lambert, "Lambert 1760", 1.0, 0.141),
-        Model("qualitative", qualitative, "Oren & Nayar 1994, eq. 30", 1.12, 0.070, _KINKS),
-        Model("qualitative-0.57", qualitative_057, "Oren & Nayar 1994, remark on eq. 30", 1.13, 0.061, _KINKS),
-        Model("fujii", fujii, "Y. Fujii 2012", 1.36, 0.035, _KINKS),
-        Model("full", full, "Oren & Nayar 1994, eqs. 27-29", 1.9, 0.036, _KINKS),
-        Model("vcavity", vcavity, "this project's rational fit to the V-cavity theory, all bounces", 2.2, 0.0028),
-        Model("eon", eon, "Portsmouth, Kutz & Hill 2024", 1.7, 0.083, _KINKS),
-        Model("theory", theory, "Oren & Nayar 1994: the V-cavity integral, with all bounces", 37000.0, 0.00005),
+        Model("qualitative", qualitative, "Oren & Nayar 1994, eq. 30", 1.5, 0.070, _KINKS),
+        Model("qualitative-0.57", qualitative_057, "Oren & Nayar 1994, remark on eq. 30", 1.8, 0.061, _KINKS),
+        Model("fujii", fujii, "Y. Fujii 2012", 2.5, 0.035, _KINKS),
+        Model("full", full, "Oren & Nayar 1994, eqs. 27-29", 4.1, 0.036, _KINKS),
+        Model("vcavity", vcavity, "this project's rational fit to the V-cavity theory, all bounces", 6.5, 0.0028),
+        Model("eon", eon, "Portsmouth, Kutz & Hill 2024", 3.1, 0.083, _KINKS),
+        Model("theory", theory, "Oren & Nayar 1994: the V-cavity integral, with all bounces", 28000.0, 0.00005),
     )
 }
 MODELS: Mapping[str, Model] = MappingProxyType(_models)
