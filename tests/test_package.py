@@ -24,7 +24,7 @@ def test_public_names() -> None:
     contract = {
         "oren_nayar", "brdf", "directional_albedo", "OrenNayar", "MODELS", "register_model", "point_light", "Camera",
         "render_normals", "NormalMap", "load_mesh", "save_mesh", "load_capture", "Capture", "photometric_stereo",
-        "Reconstruction", "integrate_normals", "angular_error", "export_onnx", "TorchOrenNayarError",
+        "simplest_model", "Reconstruction", "integrate_normals", "angular_error", "export_onnx", "TorchOrenNayarError",
     }  # fmt: skip
     assert contract <= set(ton.__all__)
     assert all(hasattr(ton, name) for name in ton.__all__)

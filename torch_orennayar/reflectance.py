@@ -296,7 +296,14 @@ _models: dict[str, Model] = {
         Model("full", full, "Oren & Nayar 1994, eqs. 27-29", 4.1, 0.036, _KINKS),
         Model("vcavity", vcavity, "this project's rational fit to the V-cavity theory, all bounces", 6.5, 0.0028),
         Model("eon", eon, "Portsmouth, Kutz & Hill 2024", 3.1, 0.083, _KINKS),
-        Model("theory", theory, "Oren & Nayar 1994: the V-cavity integral, with all bounces", 28000.0, 0.00005),
+        Model(
+            "theory",
+            theory,
+            "Oren & Nayar 1994: the V-cavity integral, with all bounces",
+            28000.0,
+            0.00005,
+            "those of the quadrature",
+        ),
     )
 }
 MODELS: Mapping[str, Model] = MappingProxyType(_models)
