@@ -10,8 +10,8 @@ degrees; a white surface must also return all light, whatever the view. Reports 
 cosine-weighted, seed 3), which the fit never sees.
 `--check` reports on the coefficients in use, without fitting. About three minutes.
 
-The form itself (which products of the natural variables take part) was found by forward selection and exchange over
-some 1,500 candidates with the same data, seeds and weights.
+The form itself (which products of the natural variables take part) is given: it came from a forward selection with
+exchange over such products, which is not part of this script.
 """
 
 from __future__ import annotations
