@@ -88,6 +88,14 @@ def doubled(n: Tensor, l: Tensor, v: Tensor, rho: Tensor, sigma: Tensor) -> Tens
     return rho * ci.clamp_min(0) * (a + _constants(sigma)[1] * s / torch.maximum(ci, co))
 
 
+def memory_floor(
+    normal: Tensor, light: Tensor, view: Tensor, albedo: Tensor, roughness: Tensor, *, dim: int = -1
+) -> Tensor:
+    """What speed is measured against: reads and writes the bytes of a model and computes next to nothing."""
+    x, y, z = (normal.narrow(dim, k, 1) * light.narrow(dim, k, 1) for k in range(3))
+    return albedo * (x + y + z).clamp_min(0) * (1 + 1e-9 * roughness)
+
+
 _WIKIPEDIA = "https://en.wikipedia.org/wiki/Oren%E2%80%93Nayar_reflectance_model"
 BASELINES = (
     Baseline("acos", angles, "course notes: the classic form in angles", _WIKIPEDIA),

@@ -29,7 +29,7 @@ from statistics import median
 import numpy as np
 import torch
 import torch.nn.functional as F
-from baselines import BASELINES
+from baselines import BASELINES, memory_floor
 from materials import fit_materials
 from torch import Tensor, nn
 from truth import Directions, cosine_weighted, grazing, theory
@@ -105,12 +105,6 @@ class _Module(nn.Module):
         return self.shade(n, l, v, rho, sigma)
 
 
-def floor(n: Tensor, l: Tensor, v: Tensor, rho: Tensor, sigma: Tensor) -> Tensor:  # noqa: E741
-    """The memory floor: reads and writes the same bytes as a model and computes next to nothing."""
-    ci = n[..., 0:1] * l[..., 0:1] + n[..., 1:2] * l[..., 1:2] + n[..., 2:3] * l[..., 2:3]
-    return rho * ci.clamp_min(0) * (1 + 1e-9 * sigma)
-
-
 def _scene(size: int) -> list[Tensor]:
     """Normals in planes (a view with x, y, z last, as an image tensor permuted), one light and view, maps."""
     draw = torch.Generator().manual_seed(0)
@@ -164,7 +158,7 @@ def measure_times(size: int) -> dict[str, dict[str, float]]:
     with tempfile.TemporaryDirectory() as folder:
         for kind in track(KINDS, "timing"):
             calls: dict[str, tuple[Callable[[], object], float]] = {}
-            for name, shade in (entries | ({"floor": floor} if kind.startswith("compiled") else {})).items():
+            for name, shade in (entries | ({"floor": memory_floor} if kind.startswith("compiled") else {})).items():
                 if name == "theory":
                     if kind == "eager forward":
                         calls[name] = _runner(kind, shade, small, folder), 32 * 32 / 1e6

@@ -25,6 +25,7 @@ from statistics import median
 import numpy as np
 import torch
 import torch.nn.functional as F
+from baselines import memory_floor
 from torch import Tensor
 
 from torch_orennayar import MODELS, brdf, directional_albedo, oren_nayar
@@ -81,16 +82,10 @@ def ratios(seconds: dict[str, list[float]], to: str) -> dict[str, tuple[float, f
     return result
 
 
-def floor(normal: Tensor, light: Tensor, view: Tensor, albedo: Tensor, roughness: Tensor) -> Tensor:
-    """The bytes of a model without its work."""
-    x, y, z = (normal[:, k : k + 1] * light[:, k : k + 1] for k in range(3))
-    return albedo * (x + y + z).clamp_min(0) * (1 + 1e-9 * roughness)
-
-
 def compiled_costs(size: int) -> dict[str, tuple[float, float, float]]:
     """Compiled forward time over the floor's: median, least and most of the interleaved runs."""
     torch._dynamo.config.recompile_limit = 100
-    calls = {"floor": torch.compile(floor, fullgraph=True)}
+    calls = {"floor": torch.compile(functools.partial(memory_floor, dim=1), fullgraph=True)}
     for name in set(MODELS) - {"theory"}:
         calls[name] = torch.compile(functools.partial(oren_nayar, model=name), fullgraph=True)
     scene = random_scene(size)

@@ -22,7 +22,7 @@ from torch import Tensor
 from ._checks import check_range
 from ._coefficients import VCAVITY_LINEAR, VCAVITY_SHAPE
 from .errors import ModelError
-from .theory import theory
+from .theory import floored_sine, theory
 
 ModelFunction = Callable[[Tensor, Tensor, Tensor, Tensor, Tensor], Tensor]
 
@@ -87,7 +87,7 @@ def full(ci: Tensor, co: Tensor, lv: Tensor, rho: Tensor, sigma: Tensor) -> Tens
     """
     x = sigma * sigma
     c_beta, c_alpha = torch.maximum(ci, co), torch.minimum(ci, co)
-    sin_a, sin_b = _sine(c_alpha), _sine(c_beta)
+    sin_a, sin_b = floored_sine(c_alpha), floored_sine(c_beta)
     alpha, beta = torch.atan2(sin_a, c_alpha), torch.atan2(sin_b, c_beta)
     s = lv - ci * co
     cos_phi = (s / (sin_a * sin_b)).clamp(-1, 1)
@@ -97,10 +97,6 @@ def full(ci: Tensor, co: Tensor, lv: Tensor, rho: Tensor, sigma: Tensor) -> Tens
     c3_term = (1 - cos_phi.abs()) * c3 * (sin_a + sin_b) / (ci + co)
     bounce = 0.17 * rho.clamp(0, 1) * x / (x + 0.13) * (1 - cos_phi * (beta * (2 / torch.pi)) ** 2)
     return rho * (1 - 0.5 * x / (x + 0.33) + c2_term + c3_term + bounce)
-
-
-def _sine(cosine: Tensor) -> Tensor:
-    return ((1 - cosine) * (1 + cosine)).clamp_min(1e-12).sqrt()
 
 
 def vcavity(ci: Tensor, co: Tensor, lv: Tensor, rho: Tensor, sigma: Tensor) -> Tensor:

@@ -15,7 +15,7 @@ from ._checks import check_axis, check_broadcast, check_channels, check_floating
 from .choice import ModelChoice, simplest_model
 from .errors import ShapeError
 from .reflectance import get_model
-from .theory import gauss_legendre
+from .theory import floored_sine, gauss_legendre
 
 MAX_ROUGHNESS = math.pi / 2 + 1e-6
 
@@ -144,7 +144,7 @@ def directional_albedo(
     cos_phi = (torch.pi * node)[None, :].cos()  # (1, 48), half of the circle
     co = cos_view[..., None, None]
     # The floor keeps the root's derivative finite at the frontal view, where cos_phi sums it to zero.
-    lv = ci * co + (1 - ci * ci).sqrt() * ((1 - co) * (1 + co)).clamp_min(1e-12).sqrt() * cos_phi
+    lv = ci * co + (1 - ci * ci).sqrt() * floored_sine(co) * cos_phi
     value = function(ci, co, lv, albedo_tensor[..., None, None], sigma[..., None, None])
     return (value * ci * 2 * weight[:, None] * weight[None, :]).sum((-2, -1)).to(dtype)
 

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from ._checks import check_floating, check_range
 
-_MIRROR = "the lobe needs it in this range"
+_SHARPER = "higher is sharper; 10 to 100 are usual"
 
 
 def phong(ci: Tensor, co: Tensor, lv: Tensor, exponent: Tensor | float) -> Tensor:
@@ -41,7 +41,7 @@ def phong(ci: Tensor, co: Tensor, lv: Tensor, exponent: Tensor | float) -> Tenso
         16.0
     """
     check_floating(ci=ci, co=co, lv=lv)
-    check_range("exponent", exponent, 1.0, math.inf, _MIRROR)
+    check_range("exponent", exponent, 1.0, math.inf, _SHARPER)
     return _above(ci, co) * ((exponent + 2) / 2) * _power(2 * ci * co - lv, exponent)
 
 
@@ -71,7 +71,7 @@ def blinn_phong(ci: Tensor, co: Tensor, lv: Tensor, exponent: Tensor | float) ->
         5.0
     """
     check_floating(ci=ci, co=co, lv=lv)
-    check_range("exponent", exponent, 1.0, math.inf, _MIRROR)
+    check_range("exponent", exponent, 1.0, math.inf, _SHARPER)
     return _above(ci, co) * ((exponent + 8) / 8) * _power(_half(ci, co, lv), exponent)
 
 
@@ -102,8 +102,8 @@ def microfacet(ci: Tensor, co: Tensor, lv: Tensor, width: Tensor | float, reflec
         0.04
     """
     check_floating(ci=ci, co=co, lv=lv)
-    check_range("width", width, 0.001, 1.0, _MIRROR)
-    check_range("reflectance", reflectance, 0.0, 1.0, _MIRROR)
+    check_range("width", width, 0.001, 1.0, "it is GGX's alpha, not an angle")
+    check_range("reflectance", reflectance, 0.0, 1.0, "it is a share of the light; 0.04 is usual")
     above = _above(ci, co)
     ci, co = torch.where(above, ci, 1), torch.where(above, co, 1)
     square = width * width

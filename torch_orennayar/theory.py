@@ -55,6 +55,11 @@ def reflectance_by_bounces(ci: Tensor, co: Tensor, lv: Tensor, sigma: Tensor, rh
     return torch.cat(parts)
 
 
+def floored_sine(cosine: Tensor) -> Tensor:
+    """The sine of an angle in [0, pi/2] from its cosine, floored at 1e-6 so that its derivative stays finite."""
+    return ((1 - cosine) * (1 + cosine)).clamp_min(1e-12).sqrt()
+
+
 @cache
 def gauss_legendre(count: int) -> tuple[Tensor, Tensor]:
     """Gauss-Legendre nodes and weights on [0, 1]."""
@@ -103,7 +108,7 @@ def _integrate(ci: Tensor, co: Tensor, lv: Tensor, sigma: Tensor, rho: Tensor) -
     density = weight * torch.exp(-0.5 * (slope / sigma.clamp_min(1e-12)[:, None]) ** 2) * (sine + (sigma == 0)[:, None])
     density = density / density.sum(1, keepdim=True) / AZIMUTHS
 
-    sin_i, sin_o = (((1 - c) * (1 + c)).clamp_min(1e-12).sqrt() for c in (ci, co))
+    sin_i, sin_o = floored_sine(ci), floored_sine(co)
     # Azimuths are counted from the bisector of light and view, so that exchanging the two mirrors the nodes.
     cos_phi = ((lv - ci * co) / (sin_i * sin_o)).clamp(-1, 1)
     cos_half, sin_half = (((1 + sign * cos_phi) / 2).clamp_min(1e-12).sqrt() for sign in (1, -1))
