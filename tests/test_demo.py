@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -35,7 +36,8 @@ def test_everything_is_written_and_readable(folder: Path) -> None:
     assert describe_onnx(folder / "shading.onnx")["metadata"]["model"] == "vcavity"
     page = (folder / "report.html").read_text()
     assert page.count("data:image/png;base64,") == 7
-    assert "http" not in page
+    # Without the pictures, whose base64 may spell anything.
+    assert "http" not in re.sub(r"base64,[A-Za-z0-9+/=]+", "", page)
 
 
 def test_same_seed_same_pictures() -> None:

@@ -19,12 +19,14 @@ from types import MappingProxyType
 import torch
 from torch import Tensor
 
+from . import gradients
 from ._checks import check_range
 from ._coefficients import VCAVITY_LINEAR, VCAVITY_SHAPE
 from .errors import ModelError
 from .theory import floored_sine, theory
 
 ModelFunction = Callable[[Tensor, Tensor, Tensor, Tensor, Tensor], Tensor]
+ModelGradient = Callable[[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor], tuple[Tensor, gradients.Partials]]
 
 
 @dataclass(frozen=True)
@@ -38,6 +40,8 @@ class Model:
         cost: eager forward time relative to ``lambert``, as ``scripts/evaluate_reflectance.py`` prints it.
         error: RMS error of the shading against the V-cavity theory with all bounces (same script).
         gradients: where the function has a kink.
+        gradient: ``(ci, co, lv, albedo, roughness, weight) -> (pi f_r, weight times its derivatives)``, one derivative
+            per argument, or None for 0; where a model has none, autograd serves.
     """
 
     name: str
@@ -46,6 +50,7 @@ class Model:
     cost: float | None = None
     error: float | None = None
     gradients: str = "smooth"
+    gradient: ModelGradient | None = None
 
 
 def lambert(ci: Tensor, co: Tensor, lv: Tensor, rho: Tensor, sigma: Tensor) -> Tensor:
@@ -54,30 +59,34 @@ def lambert(ci: Tensor, co: Tensor, lv: Tensor, rho: Tensor, sigma: Tensor) -> T
     return rho + 0.0 * (ci + co + lv + sigma)
 
 
-def _classic(ci: Tensor, co: Tensor, lv: Tensor, sigma: Tensor, a_constant: float) -> tuple[Tensor, ...]:
-    """A, B and s of Oren & Nayar (1994), eq. 30."""
+def _a_b(sigma: Tensor, a_constant: float) -> tuple[Tensor, Tensor]:
+    """A and B of Oren & Nayar (1994), eq. 30."""
     x = sigma * sigma
-    return 1 - 0.5 * x / (x + a_constant), 0.45 * x / (x + 0.09), lv - ci * co
+    return 1 - 0.5 * (x / (x + a_constant)), 0.45 * (x / (x + 0.09))
+
+
+def _classic(ci: Tensor, co: Tensor, lv: Tensor, rho: Tensor, sigma: Tensor, a_constant: float) -> Tensor:
+    """Oren & Nayar (1994), eq. 30, in cosines; at the kink ``s = 0`` the slope is that of ``s < 0``."""
+    a, b = _a_b(sigma, a_constant)
+    return rho * torch.addcmul(a, b, (lv - ci * co).relu() / torch.maximum(ci, co))
 
 
 def qualitative(ci: Tensor, co: Tensor, lv: Tensor, rho: Tensor, sigma: Tensor) -> Tensor:
     """The qualitative model, Oren & Nayar (1994), eq. 30: ``rho (A + B max(0, s) / max(ci, co))``."""
-    a, b, s = _classic(ci, co, lv, sigma, 0.33)
-    return rho * (a + b * s.clamp_min(0) / torch.maximum(ci, co))
+    return _classic(ci, co, lv, rho, sigma, 0.33)
 
 
 def qualitative_057(ci: Tensor, co: Tensor, lv: Tensor, rho: Tensor, sigma: Tensor) -> Tensor:
     """The qualitative model with 0.57 in A, which Oren & Nayar suggest to stand for inter-reflection."""
-    a, b, s = _classic(ci, co, lv, sigma, 0.57)
-    return rho * (a + b * s.clamp_min(0) / torch.maximum(ci, co))
+    return _classic(ci, co, lv, rho, sigma, 0.57)
 
 
 def fujii(ci: Tensor, co: Tensor, lv: Tensor, rho: Tensor, sigma: Tensor) -> Tensor:
     """Fujii (2012), "improved Oren-Nayar": keeps negative ``s`` and the mean inter-reflection term."""
-    a, b, s = _classic(ci, co, lv, sigma, 0.33)
-    x = sigma * sigma
-    bounce = 0.17 * rho.clamp(0, 1) * x / (x + 0.13)
-    return rho * (a + bounce + b * s / torch.where(s > 0, torch.maximum(ci, co), 1))
+    a, b = _a_b(sigma, 0.33)
+    x, s = sigma * sigma, lv - ci * co
+    bounce = 0.17 * rho.clamp(0, 1) * (x / (x + 0.13))
+    return rho * torch.addcmul(a + bounce, b, s.clamp_max(0) + s.relu() / torch.maximum(ci, co))
 
 
 def full(ci: Tensor, co: Tensor, lv: Tensor, rho: Tensor, sigma: Tensor) -> Tensor:
@@ -85,24 +94,25 @@ def full(ci: Tensor, co: Tensor, lv: Tensor, rho: Tensor, sigma: Tensor) -> Tens
 
     Sines are floored at 1e-6 before any division, which keeps gradients finite at the normal.
     """
+    a, b = _a_b(sigma, 0.33)
     x = sigma * sigma
     c_beta, c_alpha = torch.maximum(ci, co), torch.minimum(ci, co)
     sin_a, sin_b = floored_sine(c_alpha), floored_sine(c_beta)
     alpha, beta = torch.atan2(sin_a, c_alpha), torch.atan2(sin_b, c_beta)
     s = lv - ci * co
     cos_phi = (s / (sin_a * sin_b)).clamp(-1, 1)
-    back = torch.where(s < 0, cos_phi * (beta * (2 / torch.pi)) ** 3 * sin_b, 0)
-    c2_term = 0.45 * x / (x + 0.09) * (s - back) / c_beta
-    c3 = 0.125 * x / (x + 0.09) * (alpha * beta * (4 / torch.pi**2)) ** 2
+    back = cos_phi.clamp_max(0) * (beta * (2 / torch.pi)) ** 3 * sin_b
+    c2_term = b * (s - back) / c_beta
+    c3 = 0.125 * (x / (x + 0.09)) * (alpha * beta * (4 / torch.pi**2)) ** 2
     c3_term = (1 - cos_phi.abs()) * c3 * (sin_a + sin_b) / (ci + co)
-    bounce = 0.17 * rho.clamp(0, 1) * x / (x + 0.13) * (1 - cos_phi * (beta * (2 / torch.pi)) ** 2)
-    return rho * (1 - 0.5 * x / (x + 0.33) + c2_term + c3_term + bounce)
+    bounce = 0.17 * rho.clamp(0, 1) * (x / (x + 0.13)) * (1 - cos_phi * (beta * (2 / torch.pi)) ** 2)
+    return rho * (a + c2_term + c3_term + bounce)
 
 
 def vcavity(ci: Tensor, co: Tensor, lv: Tensor, rho: Tensor, sigma: Tensor) -> Tensor:
     """Closed-form fit to the V-cavity theory with all bounces; smooth and reciprocal (``scripts/fit_vcavity.py``)."""
     # The floor acts on dark surfaces rougher than 80 degrees alone, light and view opposite at the horizon.
-    return vcavity_form(ci, co, lv, rho, sigma, VCAVITY_SHAPE, VCAVITY_LINEAR).clamp_min(0)
+    return vcavity_form(ci, co, lv, rho, sigma, VCAVITY_SHAPE, VCAVITY_LINEAR).relu()
 
 
 def vcavity_form(
@@ -112,26 +122,30 @@ def vcavity_form(
 
     ``u`` is masking and shadowing, one factor for each direction. ``r`` knows how far light and view are apart
     as a groove sees it: masking grows with |tan ti - tan to| along the groove, so the natural variable is
-    ``ci**2 + co**2 - 2 ci co lv``. ``y`` is 0 for a smooth surface. ``first`` is the light of one
-    bounce; ``second`` and ``later``, times ``rho`` and ``rho / (1 - beta rho)``, are all others.
+    ``ci**2 + co**2 - 2 ci co lv``. ``y`` is 0 for a smooth surface; ``b`` and ``l``, the albedo and its
+    bounces, multiply the light of two bounces and of all later ones. The result is a polynomial in ``u``, written
+    for few operations (``gradients.vcavity`` goes back through the same lines).
     """
     c, beta, k0, k1, k2, kappa, turn = shape
-    a, b, d = linear[:14], linear[14:19], linear[19:]
+    a, g, d = linear[:14], linear[14:19], linear[19:]
     x = sigma * sigma
     y = x / (x + c)
-    bounce = rho.clamp(0, 1)
-    q, p, s, h = ci * co, ci + co, lv - ci * co, 1 + lv
-    ii, oo, yy = ci * ci, co * co, y * y
-    k = k0 + y * (k1 + k2 * y)
-    u = y / torch.sqrt((k + (1 - k) * ii) * (k + (1 - k) * oo))
-    r = torch.rsqrt(p * p + (kappa + turn * y) * (ii + oo - 2 * q * lv) + 1e-12)
-    pr, qr, hr = p * r, q * r, h * r
-    first = 1 + y * (a[0] * hr * qr + a[1] * pr + a[2] * qr + a[3] * yy * p)
-    first = first + u * (hr * (a[4] + y * (a[5] + a[6] * q + a[7] * pr)) + s * (a[8] + a[9] * s + a[10] * yy * p))
-    first = first + u * (a[11] * y + u * (a[12] + a[13] * p))
-    second = y * (b[0] + b[1] * yy + b[2] * p + u * (b[3] * qr * r + b[4] * hr * p))
-    later = y * (y * (d[0] + y * (d[1] * q + d[2] * h)) + u * (d[3] * q + d[4] * u * s * s))
-    return rho * (first + bounce * second + bounce / (1 - beta * bounce) * later)
+    b = rho.clamp(0, 1)
+    yy, l = y * y, y * (b / (1 - beta * b))  # noqa: E741
+    q, p, h = ci * co, ci + co, 1 + lv
+    s, pp = lv - q, p * p
+    k = k0 + k1 * y + k2 * yy
+    m, hq = 1 - k, 2 * (h * q)
+    mq = m * q
+    u = y / (k * (k + m * (pp - 2 * q)) + mq * mq).sqrt()  # the root of (k + m ci^2) (k + m co^2)
+    r = (pp + (kappa + turn * y) * (pp - hq) + 1e-12).rsqrt()
+    hr, qr, pr, yp = h * r, q * r, p * r, yy * p
+    zero = qr * (a[0] * hr + a[2]) + a[1] * pr + a[3] * yp + b * (g[0] + g[1] * yy + g[2] * p)
+    zero = 1 + y * (zero + l * (d[0] + y * (d[1] * q + d[2] * h)))
+    one = hr * (a[4] + y * (a[5] + a[6] * q + a[7] * pr)) + s * (a[8] + a[9] * s + a[10] * yp)
+    one = one + y * (a[11] + b * (r * (g[3] * qr + g[4] * (h * p)))) + l * (d[3] * q)
+    two = a[12] + a[13] * p + l * (d[4] * (s * s))
+    return rho * (zero + u * (one + u * two))
 
 
 def eon(ci: Tensor, co: Tensor, lv: Tensor, rho: Tensor, sigma: Tensor) -> Tensor:
@@ -151,7 +165,7 @@ def eon_from_r(ci: Tensor, co: Tensor, lv: Tensor, rho: Tensor, r: Tensor) -> Te
     c1, c2 = 0.5 - 2 / (3 * torch.pi), 2 / 3 - 28 / (15 * torch.pi)
     a = 1 / (1 + c1 * r)
     s = lv - ci * co
-    single = a * (1 + r * s / torch.where(s > 0, torch.maximum(ci, co), 1))
+    single = a * (1 + r * (s.clamp_max(0) + s.relu() / torch.maximum(ci, co)))
     bounce_rho = rho.clamp(0, 1)
     mean_albedo = a * (1 + c2 * r)
     lost = (c1 - _eon_g(ci)).clamp_min(0) * (c1 - _eon_g(co)).clamp_min(0) * r * a / (c1 - c2)
@@ -282,25 +296,32 @@ def get_model(name: str) -> Model:
 
 
 _KINKS = "kinks at ci = co and s = 0"
-_models: dict[str, Model] = {
-    m.name: m
-    for m in (
-        Model("lambert", lambert, "Lambert 1760", 1.0, 0.141),
-        Model("qualitative", qualitative, "Oren & Nayar 1994, eq. 30", 1.5, 0.070, _KINKS),
-        Model("qualitative-0.57", qualitative_057, "Oren & Nayar 1994, remark on eq. 30", 1.8, 0.061, _KINKS),
-        Model("fujii", fujii, "Y. Fujii 2012", 2.5, 0.035, _KINKS),
-        Model("full", full, "Oren & Nayar 1994, eqs. 27-29", 4.1, 0.036, _KINKS),
-        Model("vcavity", vcavity, "this project's rational fit to the V-cavity theory, all bounces", 6.5, 0.0028),
-        Model("eon", eon, "Portsmouth, Kutz & Hill 2024", 3.1, 0.083, _KINKS),
-        Model(
-            "theory",
-            theory,
-            "Oren & Nayar 1994: the V-cavity integral, with all bounces",
-            28000.0,
-            0.00005,
-            "those of the quadrature",
-        ),
-    )
-}
+_SLOW = "those of the quadrature"
+_KNOWN = (
+    Model("lambert", lambert, "Lambert 1760", 1.0, 0.141, gradient=gradients.lambert),
+    Model("qualitative", qualitative, "Oren & Nayar 1994, eq. 30", 1.5, 0.070, _KINKS, gradients.qualitative),
+    Model(
+        "qualitative-0.57",
+        qualitative_057,
+        "Oren & Nayar 1994, remark on eq. 30",
+        1.8,
+        0.061,
+        _KINKS,
+        gradients.qualitative_057,
+    ),
+    Model("fujii", fujii, "Y. Fujii 2012", 2.5, 0.035, _KINKS, gradients.fujii),
+    Model("full", full, "Oren & Nayar 1994, eqs. 27-29", 4.1, 0.036, _KINKS),
+    Model(
+        "vcavity",
+        vcavity,
+        "this project's rational fit to the V-cavity theory, all bounces",
+        6.5,
+        0.0028,
+        gradient=gradients.vcavity,
+    ),
+    Model("eon", eon, "Portsmouth, Kutz & Hill 2024", 3.1, 0.083, _KINKS),
+    Model("theory", theory, "Oren & Nayar 1994: the V-cavity integral, with all bounces", 28000.0, 0.00005, _SLOW),
+)
+_models: dict[str, Model] = {m.name: m for m in _KNOWN}
 MODELS: Mapping[str, Model] = MappingProxyType(_models)
 """Read-only mapping from name to `Model`; `register_model` adds to it."""

@@ -11,9 +11,10 @@ import math
 import torch
 from torch import Tensor, nn
 
-from ._checks import check_axis, check_broadcast, check_channels, check_floating, check_range, check_unit, checking
+from ._checks import check_axis, check_broadcast, check_channels, check_floating, check_range, check_unit
 from .choice import ModelChoice, simplest_model
 from .errors import ShapeError
+from .evaluation import Scene, cast, evaluate, shade, working_dtype
 from .reflectance import get_model
 from .theory import floored_sine, gauss_legendre
 
@@ -69,14 +70,8 @@ def oren_nayar(
         >>> round(ton.oren_nayar(up, up, up, 1.0, 0.5).item(), 4)
         0.7845
     """
-    value, ci, axis = _evaluate(normal, light, view, albedo, roughness, model, dim)
-    shading = value * ci
-    if irradiance is not None:
-        check_range("irradiance", irradiance, 0.0, math.inf, "irradiance is never negative or infinite")
-        check_broadcast(axis, shading=shading, irradiance=irradiance)
-        check_channels(axis, albedo=albedo, irradiance=irradiance)
-        shading = shading * irradiance
-    return shading.to(_result_dtype(normal, light, view, albedo, roughness, irradiance))
+    known = get_model(model)
+    return shade(known, *_lay_scene(normal, light, view, albedo, roughness, irradiance, dim))
 
 
 def brdf(
@@ -103,8 +98,10 @@ def brdf(
         >>> math.isclose(ton.brdf(up, up, up, 0.5, 0.0, model="lambert").item(), 0.5 / math.pi, rel_tol=1e-6)
         True
     """
-    value, _, _ = _evaluate(normal, light, view, albedo, roughness, model, dim)
-    return (value / math.pi).to(_result_dtype(normal, light, view, albedo, roughness))
+    known = get_model(model)
+    scene, axis, dtype = _lay_scene(normal, light, view, albedo, roughness, None, dim)
+    value, _ = evaluate(known.function, scene[:5], axis, working_dtype(dtype))
+    return (value / math.pi).to(dtype)
 
 
 def directional_albedo(
@@ -137,7 +134,7 @@ def directional_albedo(
     check_range("cos_view", cos_view, 1e-6, 1 + 1e-6, "it is the cosine between normal and view")
     function = get_model(model).function
     dtype = cos_view.dtype
-    cos_view = _working(cos_view, _working_dtype(dtype))
+    cos_view = cast(cos_view, working_dtype(dtype))
     albedo_tensor, sigma = _parameters(albedo, roughness, cos_view)
     node, weight = (t.to(cos_view) for t in gauss_legendre(48))
     ci = node[:, None]  # (48, 1)
@@ -182,7 +179,7 @@ def point_light(points: Tensor, position: Tensor, intensity: Tensor | float, *, 
     check_axis("position", position, axis, (3,))
     check_range("intensity", intensity, 0.0, math.inf, "intensity is never negative")
     dtype = _result_dtype(points, position, intensity)
-    here, there = (_working(t, _working_dtype(dtype)).nan_to_num(0.0, 0.0, 0.0) for t in (points, position))
+    here, there = (cast(t, working_dtype(dtype)).nan_to_num(0.0, 0.0, 0.0) for t in (points, position))
     known = (points.isfinite() & position.isfinite()).all(axis, keepdim=True)
     offset = (there - here) * known
     square = (offset * offset).sum(axis, keepdim=True)
@@ -343,36 +340,6 @@ def _result_dtype(*values: Tensor | float | None) -> torch.dtype:
     return dtype
 
 
-def _working_dtype(dtype: torch.dtype) -> torch.dtype:
-    return torch.float32 if dtype in (torch.float16, torch.bfloat16) else dtype
-
-
-def _working(tensor: Tensor, dtype: torch.dtype) -> Tensor:
-    """``tensor`` in ``dtype``; gradients that go back to float16 saturate at its range."""
-    if tensor.dtype == dtype:
-        return tensor
-    wider = tensor.to(dtype)
-    if tensor.dtype == torch.float16 and wider.requires_grad and checking():
-        most = torch.finfo(torch.float16).max
-        wider.register_hook(lambda gradient: gradient.clamp(-most, most))
-    return wider
-
-
-def _finite(tensor: Tensor) -> Tensor:
-    """0 where ``tensor`` is NaN or infinite; one selection where it is compiled, one pass where it is not."""
-    if torch.compiler.is_compiling():
-        return torch.where(tensor.abs() < math.inf, tensor, 0.0)
-    return tensor.nan_to_num(0.0, 0.0, 0.0)
-
-
-def _dot(a: Tensor, b: Tensor, axis: int) -> Tensor:
-    """The dot product along ``axis``, kept as 1: written out, since compilers make slow loops of sums over 3."""
-    if not torch.compiler.is_compiling():
-        return (a * b).sum(axis, keepdim=True)
-    x, y, z = (a.narrow(axis, k, 1) * b.narrow(axis, k, 1) for k in range(3))
-    return x + y + z
-
-
 def _parameters(albedo: Tensor | float, roughness: Tensor | float, like: Tensor) -> tuple[Tensor, Tensor]:
     """Albedo and roughness checked and as tensors beside ``like``."""
     check_range("albedo", albedo, 0.0, math.inf, "clamp it, or learn it through softplus or sigmoid")
@@ -388,37 +355,31 @@ def _parameters(albedo: Tensor | float, roughness: Tensor | float, like: Tensor)
     return rho, sigma
 
 
-def _evaluate(
+def _lay_scene(
     normal: Tensor,
     light: Tensor,
     view: Tensor,
     albedo: Tensor | float,
     roughness: Tensor | float,
-    model: str,
+    irradiance: Tensor | float | None,
     dim: int,
-) -> tuple[Tensor, Tensor, int]:
-    """``pi f_r``, exactly 0, gradients too, where the surface faces away; ``n.l``; the axis of x, y, z from the end."""
-    function = get_model(model).function
+) -> tuple[Scene, int, torch.dtype]:
+    """The arguments checked, as tensors of one number of axes; the axis of x, y, z from the end; the result's dtype."""
     check_floating(normal=normal, light=light, view=view)
-    tensors = [t for t in (normal, light, view, albedo, roughness) if isinstance(t, Tensor)]
+    tensors = [t for t in (normal, light, view, albedo, roughness, irradiance) if isinstance(t, Tensor)]
     axis = _axis_from_end(dim, *tensors)
     for name, vectors in (("normal", normal), ("light", light), ("view", view)):
         check_axis(name, vectors, axis, (3,))
         check_unit(name, vectors, axis)
     if isinstance(roughness, Tensor) and roughness.ndim > 0:
         check_axis("roughness", roughness, axis, (1,))
-    check_channels(axis, albedo=albedo)
-    check_broadcast(axis, normal=normal, light=light, view=view, albedo=albedo, roughness=roughness)
-    dtype = _working_dtype(_result_dtype(*tensors))
-    scene = [_working(t, dtype) for t in (normal, light, view, *_parameters(albedo, roughness, normal))]
-    if not torch.compiler.is_compiling() or (torch.is_grad_enabled() and any(t.requires_grad for t in scene)):
-        # Where checks cannot look (compiled, vmap), a background of NaN must still not reach a gradient.
-        scene = [_finite(t) for t in scene]
-    n, l, v, rho, sigma = scene  # noqa: E741
-    ci, co, lv = _dot(n, l, axis), _dot(n, v, axis), _dot(l, v, axis)
-    facing = (torch.minimum(ci, co) > 0) & (ci + co < math.inf)
-    # The floor keeps 1 / max(ci, co)**2 inside the format; it is far below any cosine that shows.
-    floor = torch.finfo(dtype).tiny ** 0.25
-    ci = torch.where(facing, ci, 1.0)
-    value = function(ci.clamp_min(floor), torch.where(facing, co, 1.0).clamp_min(floor), lv, rho, sigma)
-    return torch.where(facing, value, 0.0), ci, axis
+    scale: dict[str, Tensor | float] = {} if irradiance is None else {"irradiance": irradiance}
+    check_channels(axis, albedo=albedo, **scale)
+    check_broadcast(axis, normal=normal, light=light, view=view, albedo=albedo, roughness=roughness, **scale)
+    parts: list[Tensor | None] = [normal, light, view, *_parameters(albedo, roughness, normal), None]
+    if irradiance is not None:
+        check_range("irradiance", irradiance, 0.0, math.inf, "irradiance is never negative or infinite")
+        parts[-1] = irradiance if isinstance(irradiance, Tensor) else normal.new_tensor(irradiance)
+    ndim = max(t.ndim for t in tensors)
+    scene = [None if t is None else t.reshape((1,) * (ndim - t.ndim) + tuple(t.shape)) for t in parts]
+    return scene, axis, _result_dtype(*tensors)
