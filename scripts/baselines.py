@@ -62,6 +62,22 @@ def normalised(n: Tensor, l: Tensor, v: Tensor, rho: Tensor, sigma: Tensor) -> T
     return rho * ci.clamp_min(0) * (a + b * gamma.clamp_min(0) * c)
 
 
+def textbook(n: Tensor, l: Tensor, v: Tensor, rho: Tensor, sigma: Tensor) -> Tensor:  # noqa: E741
+    """The full 1994 model in angles, as textbooks print it."""
+    a, b = _constants(sigma)
+    x = sigma * sigma
+    ci, co = _dot(n, l), _dot(n, v)
+    theta_i, theta_o = ci.clamp(-1, 1).acos(), co.clamp(-1, 1).acos()
+    cos_phi = _dot(F.normalize(l - n * ci, dim=-1), F.normalize(v - n * co, dim=-1))
+    alpha, beta = torch.maximum(theta_i, theta_o), torch.minimum(theta_i, theta_o)
+    ratio = 2 * beta / torch.pi
+    c2 = b * torch.where(cos_phi >= 0, alpha.sin(), alpha.sin() - ratio**3)
+    c3 = 0.125 * x / (x + 0.09) * (4 * alpha * beta / torch.pi**2) ** 2
+    first = a + cos_phi * c2 * beta.tan() + (1 - cos_phi.abs()) * c3 * ((alpha + beta) / 2).tan()
+    second = 0.17 * rho * x / (x + 0.13) * (1 - cos_phi * ratio**2)
+    return rho * ci.clamp_min(0) * (first + second)
+
+
 def sine_sine(n: Tensor, l: Tensor, v: Tensor, rho: Tensor, sigma: Tensor) -> Tensor:  # noqa: E741
     """The slip ``sin(alpha) sin(beta)`` for ``sin(alpha) tan(beta)``."""
     a, b = _constants(sigma)
@@ -92,8 +108,8 @@ def memory_floor(
     normal: Tensor, light: Tensor, view: Tensor, albedo: Tensor, roughness: Tensor, *, dim: int = -1
 ) -> Tensor:
     """What speed is measured against: reads and writes the bytes of a model and computes next to nothing."""
-    x, y, z = (normal.narrow(dim, k, 1) * light.narrow(dim, k, 1) for k in range(3))
-    return albedo * (x + y + z).clamp_min(0) * (1 + 1e-9 * roughness)
+    x, y, z = (a * b for a, b in zip(normal.unbind(dim), light.unbind(dim), strict=True))
+    return albedo * (x + y + z).unsqueeze(dim).relu() * (1 + 1e-9 * roughness)
 
 
 _WIKIPEDIA = "https://en.wikipedia.org/wiki/Oren%E2%80%93Nayar_reflectance_model"
@@ -105,6 +121,7 @@ BASELINES = (
         "R. van Ouwerkerk's rewrite for shaders",
         "http://shaderjvo.blogspot.com/2011/08/van-ouwerkerks-rewrite-of-oren-nayar.html",
     ),
+    Baseline("textbook", textbook, "textbooks: the full model in angles", _WIKIPEDIA),
     Baseline("sin sin", sine_sine, "a slip found on web pages", _WIKIPEDIA),
     Baseline("A plus", rising, "a slip copied in public shaders", "https://github.com/glslify/glsl-diffuse-oren-nayar"),
     Baseline("A bracket", doubled, "a slip found in public shaders", _WIKIPEDIA),

@@ -42,7 +42,7 @@ STEPS = 800
 def form(pairs: Directions, shape: list[float], linear: list[float], sigma: Tensor, rho: Tensor = ALBEDO) -> Tensor:
     """``pi f_r / rho`` of the form for (S, N, K): roughness, directions, albedo."""
     ci, co, lv = (c[:, None] for c in (pairs.ci, pairs.co, pairs.lv))
-    return reflectance.vcavity_form(ci, co, lv, rho, sigma.deg2rad()[:, None, None], shape, linear) / rho
+    return reflectance.vcavity_form(ci, co, lv, rho, sigma.deg2rad()[:, None, None], shape, linear)
 
 
 def columns(pairs: Directions, shape: list[float], rho: Tensor = ALBEDO) -> tuple[Tensor, Tensor]:

@@ -2,28 +2,19 @@
 
 from __future__ import annotations
 
-import importlib
 import math
-import sys
-from collections.abc import Iterator
-from pathlib import Path
 
+import baselines
+import chart_reflectance as chart
+import materials
 import oracles
 import pytest
 import torch
+import truth
 from hypothesis import given
 from hypothesis import strategies as st
 
 from torch_orennayar import microfacet, oren_nayar
-
-SCRIPTS = Path(__file__).parent.parent / "scripts"
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _scripts_importable() -> Iterator[None]:
-    sys.path.insert(0, str(SCRIPTS))
-    yield
-    sys.path.remove(str(SCRIPTS))
 
 
 def scene(ti: float, to: float, dphi: float) -> list[torch.Tensor]:
@@ -38,7 +29,6 @@ def scene(ti: float, to: float, dphi: float) -> list[torch.Tensor]:
 def test_copied_formulas_are_the_classic_one_where_they_are_right(
     ti: float, to: float, dphi: float, sigma: float
 ) -> None:
-    baselines = importlib.import_module("baselines")
     rest = [torch.tensor([[v]], dtype=torch.float64) for v in (0.7, sigma)]
     wanted = oracles.angle_form("qualitative", ti, to, dphi, 0.7, sigma) * math.cos(ti)
     for shade in (baselines.angles, baselines.normalised):
@@ -51,7 +41,6 @@ def test_copied_formulas_are_the_classic_one_where_they_are_right(
 
 
 def test_copied_formulas_lose_their_gradients_at_the_normal_and_this_package_does_not() -> None:
-    baselines = importlib.import_module("baselines")
     up = torch.tensor([[0.0, 0.0, 1.0]])
     for shade, finite in ((baselines.angles, False), (baselines.normalised, False), (oren_nayar, True)):
         normal = up.clone().requires_grad_()
@@ -60,7 +49,6 @@ def test_copied_formulas_lose_their_gradients_at_the_normal_and_this_package_doe
 
 
 def test_frontier_holds_what_nothing_beats_in_both() -> None:
-    chart = importlib.import_module("chart_reflectance")
     points = {
         "fast": (1.0, 0.5),
         "beaten": (2.0, 0.6),
@@ -72,7 +60,6 @@ def test_frontier_holds_what_nothing_beats_in_both() -> None:
 
 
 def test_materials_are_fitted_by_the_best_non_negative_mix() -> None:
-    truth, materials = importlib.import_module("truth"), importlib.import_module("materials")
     pairs = truth.cosine_weighted(500, 0)
     lobe = microfacet(pairs.ci, pairs.co, pairs.lv, 0.3) * pairs.ci
     made = (0.4 * pairs.ci + 0.2 * lobe)[None, :, None]
@@ -85,7 +72,6 @@ def test_materials_are_fitted_by_the_best_non_negative_mix() -> None:
 
 
 def test_directions_are_cosine_weighted_within_their_angle() -> None:
-    truth = importlib.import_module("truth")
     wide, narrow = truth.cosine_weighted(200_000, 0), truth.cosine_weighted(1000, 0, math.radians(30))
     assert wide.ci.mean().item() == pytest.approx(2 / 3, abs=2e-3)
     assert wide.co.mean().item() == pytest.approx(2 / 3, abs=2e-3)

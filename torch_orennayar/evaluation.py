@@ -52,24 +52,25 @@ def shade(model: Model, scene: Scene, axis: int, dtype: torch.dtype) -> Tensor:
 
 def shade_whole(model: Model, scene: Scene, axis: int, dtype: torch.dtype) -> Tensor:
     """`shade` in plain operations on whole tensors."""
-    value, ci = evaluate(model.function, scene[:5], axis, working_dtype(dtype))
+    value, ci, facing = evaluate(model.function, scene[:5], axis, working_dtype(dtype))
     shading = value * ci
     if scene[5] is not None:
         shading = shading * cast(scene[5], working_dtype(dtype))
-    return shading.to(dtype)
+    return torch.where(facing, shading, 0.0).to(dtype)
 
 
-def evaluate(function: ModelFunction, scene: Scene, axis: int, dtype: torch.dtype) -> tuple[Tensor, Tensor]:
-    """``pi f_r`` in ``dtype``, exactly 0, gradients too, where the surface faces away; ``n.l``, 1 there."""
+def evaluate(function: ModelFunction, scene: Scene, axis: int, dtype: torch.dtype) -> tuple[Tensor, Tensor, Tensor]:
+    """``pi f_r`` in ``dtype``, ``n.l``, and whether the surface faces light and view: if not, they mean nothing."""
     parts = [cast(t, dtype) for t in scene]
-    if (torch.is_grad_enabled() and any(t.requires_grad for t in parts)) or _transformed(parts):
+    differentiate = (torch.is_grad_enabled() and any(t.requires_grad for t in parts)) or _transformed(parts)
+    if differentiate:
         parts = [_finite(t) for t in parts]  # a background of NaN must not reach a gradient
     n, l, v, rho, sigma = parts  # noqa: E741
     ci, co, lv = _dot(n, l, axis), _dot(n, v, axis), _dot(l, v, axis)
     facing = _facing(ci, co)
-    ci, co = torch.where(facing, ci, 1.0), torch.where(facing, co, 1.0)
-    value = function(ci.clamp_min(_floor(dtype)), co.clamp_min(_floor(dtype)), lv, rho, sigma)
-    return torch.where(facing, value, 0.0), ci
+    if differentiate:  # nor must the derivative of a formula below the horizon
+        ci, co = torch.where(facing, ci, 1.0), torch.where(facing, co, 1.0)
+    return function(ci.clamp_min(floor_of(dtype)), co.clamp_min(floor_of(dtype)), lv, rho, sigma), ci, facing
 
 
 class _Shade(torch.autograd.Function):
@@ -85,13 +86,14 @@ class _Shade(torch.autograd.Function):
     def backward(ctx: Any, gradient: Tensor) -> tuple[Any, ...]:
         scene, needed = ctx.saved_tensors, ctx.needs_input_grad[3:]
         if torch.compiler.is_compiling():
-            found = _backward_tile(ctx.model, scene, ctx.axis, gradient, needed, exact=True)
+            parts = _backward_tile(ctx.model, scene, ctx.axis, gradient, needed, exact=True)
+            found = [None if p is None else _narrow(p, t.dtype) for p, t in zip(parts, scene, strict=True)]
         elif torch.is_grad_enabled() or _transformed(scene):  # second derivatives, vectorised Jacobians
             with torch.enable_grad():
                 result = shade_whole(ctx.model, scene, ctx.axis, ctx.dtype)
             wanted = [t for t, wants in zip(scene, needed, strict=True) if wants]
-            parts = iter(torch.autograd.grad(result, wanted, gradient, create_graph=torch.is_grad_enabled()))
-            found = [next(parts) if wants else None for wants in needed]
+            slopes = iter(torch.autograd.grad(result, wanted, gradient, create_graph=torch.is_grad_enabled()))
+            found = [next(slopes) if wants else None for wants in needed]
         else:
             found = _backward(ctx.model, scene, ctx.axis, gradient, needed)
         return None, None, None, *found
@@ -139,16 +141,16 @@ def _backward(model: Model, scene: Scene, axis: int, gradient: Tensor, needed: S
         if gradient.device.type == "cpu" and not _all_finite(parts):
             parts = _backward_tile(*arguments, exact=True)
         for total, part, alone in zip(totals, parts, own, strict=True):
-            if total is not None:
+            if total is not None and part is not None:
                 place = _cut(total, index)
-                place.copy_(part) if alone else place.add_(part)
+                place.copy_(_narrow(part, place.dtype)) if alone else place.add_(part)
     return [t if t is None else _narrow(t, s.dtype) for t, s in zip(totals, scene, strict=True)]
 
 
 def _backward_tile(
     model: Model, scene: Scene, axis: int, gradient: Tensor, needed: Sequence[bool], *, exact: bool
 ) -> list[Tensor | None]:
-    """Gradients of the scene in its dtypes; with ``exact`` a NaN of the background, or of its gradient, stays there."""
+    """Gradients of the scene; with ``exact`` a NaN of the background, or of the gradient there, reaches none."""
     dtype = working_dtype(gradient.dtype)
     n, l, v, rho, sigma, irradiance = (cast(t, dtype) for t in scene)  # noqa: E741
     arriving = cast(gradient, dtype)
@@ -156,7 +158,7 @@ def _backward_tile(
     if exact:
         facing = _facing(ci, co)
         lit = torch.where(facing, ci, 0.0)
-        ci, co = (torch.where(facing, c, 1.0).clamp_min(_floor(dtype)) for c in (ci, co))
+        ci, co = (torch.where(facing, c, 1.0).clamp_min(floor_of(dtype)) for c in (ci, co))
         arriving = torch.where(facing, arriving, 0.0)
         # A map is selected from by pixel, which costs less where it is compiled than a look at each of its numbers.
         n, l, v, rho, sigma = (  # noqa: E741
@@ -172,11 +174,11 @@ def _backward_tile(
     arguments = ci, co, lv, rho, sigma
     shape = torch.broadcast_shapes(*(t.shape for t in arguments))
     value, found = _pull(model, arguments, weight.sum_to_size(shape))
-    at_ci = at_ci.sum_to_size(shape) * value
-    found = (at_ci if found[0] is None else found[0] + at_ci, *found[1:])
     by_ci, by_co, by_lv, by_rho, by_sigma = (
         None if by is None else by.sum_to_size(t.shape) for by, t in zip(found, arguments, strict=True)
     )
+    at_ci = (at_ci.sum_to_size(shape) * value).sum_to_size(ci.shape)
+    by_ci = at_ci if by_ci is None else by_ci + at_ci
     parts = [
         _gather(((by_ci, l), (by_co, v)), n, axis) if needed[0] else None,
         _gather(((by_ci, n), (by_lv, v)), l, axis) if needed[1] else None,
@@ -186,7 +188,7 @@ def _backward_tile(
         (value * alone).sum_to_size(irradiance.shape) if needed[5] else None,
     ]
     return [
-        (torch.zeros_like(t) if p is None else _narrow(p, t.dtype)) if wanted else None
+        (torch.zeros_like(t, dtype=dtype) if p is None else p) if wanted else None
         for p, t, wanted in zip(parts, scene, needed, strict=True)
     ]
 
@@ -285,7 +287,9 @@ def _all_finite(tensors: Sequence[Tensor | None]) -> bool:
 
 
 def _dot(a: Tensor, b: Tensor, axis: int) -> Tensor:
-    """The dot product along ``axis``, kept as 1, by component: compilers make slow loops of sums over 3."""
+    """The dot product along ``axis``, kept as 1; by component, since torch makes slow loops of sums over 3."""
+    if torch.compiler.is_exporting():
+        return (a * b).sum(axis, keepdim=True)
     (ax, ay, az), (bx, by, bz) = ([t.select(axis, k) for k in range(3)] for t in (a, b))
     return torch.addcmul(torch.addcmul(ax * bx, ay, by), az, bz).unsqueeze(axis)
 
@@ -297,11 +301,11 @@ def _facing(ci: Tensor, co: Tensor) -> Tensor:
 def _lit(ci: Tensor, co: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """``ci`` or 0 where the surface faces away; ``ci`` and ``co``, or 1; 1 or 0. All by arithmetic."""
     mask = torch.minimum(ci, co).sign().relu()
-    lit, away = ci * mask, (1 - mask).clamp_min(_floor(ci.dtype))
+    lit, away = ci * mask, (1 - mask).clamp_min(floor_of(ci.dtype))
     return lit, torch.maximum(lit, away), torch.maximum(co * mask, away), mask
 
 
-def _floor(dtype: torch.dtype) -> float:
+def floor_of(dtype: torch.dtype) -> float:
     """Keeps 1 / max(ci, co)**2 inside the format; far below any cosine that shows."""
     least: float = torch.finfo(dtype).tiny ** 0.25
     return least

@@ -112,13 +112,13 @@ def full(ci: Tensor, co: Tensor, lv: Tensor, rho: Tensor, sigma: Tensor) -> Tens
 def vcavity(ci: Tensor, co: Tensor, lv: Tensor, rho: Tensor, sigma: Tensor) -> Tensor:
     """Closed-form fit to the V-cavity theory with all bounces; smooth and reciprocal (``scripts/fit_vcavity.py``)."""
     # The floor acts on dark surfaces rougher than 80 degrees alone, light and view opposite at the horizon.
-    return vcavity_form(ci, co, lv, rho, sigma, VCAVITY_SHAPE, VCAVITY_LINEAR).relu()
+    return rho * vcavity_form(ci, co, lv, rho, sigma, VCAVITY_SHAPE, VCAVITY_LINEAR).relu()
 
 
 def vcavity_form(
     ci: Tensor, co: Tensor, lv: Tensor, rho: Tensor, sigma: Tensor, shape: Sequence[float], linear: Sequence[float]
 ) -> Tensor:
-    """The form of `vcavity` with 7 shape constants and 24 linear coefficients, which its fit moves.
+    """The form of `vcavity` over albedo, with 7 shape constants and 24 linear coefficients, which its fit moves.
 
     ``u`` is masking and shadowing, one factor for each direction. ``r`` knows how far light and view are apart
     as a groove sees it: masking grows with |tan ti - tan to| along the groove, so the natural variable is
@@ -145,7 +145,7 @@ def vcavity_form(
     one = hr * (a[4] + y * (a[5] + a[6] * q + a[7] * pr)) + s * (a[8] + a[9] * s + a[10] * yp)
     one = one + y * (a[11] + b * (r * (g[3] * qr + g[4] * (h * p)))) + l * (d[3] * q)
     two = a[12] + a[13] * p + l * (d[4] * (s * s))
-    return rho * (zero + u * (one + u * two))
+    return zero + u * (one + u * two)
 
 
 def eon(ci: Tensor, co: Tensor, lv: Tensor, rho: Tensor, sigma: Tensor) -> Tensor:
@@ -236,6 +236,7 @@ def register_model(
     cost: float | None = None,
     error: float | None = None,
     gradients: str = "not stated",
+    gradient: ModelGradient | None = None,
 ) -> Model:
     """Add a diffuse model under ``name``; it works at once in the layer, the solvers and the export.
 
@@ -248,6 +249,7 @@ def register_model(
         cost: time relative to ``lambert``, if measured.
         error: RMS error against the theory, if measured.
         gradients: where the function has kinks.
+        gradient: its derivatives by hand, as `Model` describes; default: by autograd, which is slower.
 
     Returns:
         The registered `Model`.
@@ -281,7 +283,7 @@ def register_model(
             got=f"shape {tuple(result.shape)}" if isinstance(result, Tensor) else type(result).__name__,
             mend="return pi f_r, element by element",
         )
-    model = Model(name, function, source, cost, error, gradients)
+    model = Model(name, function, source, cost, error, gradients, gradient)
     _models[name] = model
     return model
 

@@ -100,8 +100,8 @@ def brdf(
     """
     known = get_model(model)
     scene, axis, dtype = _lay_scene(normal, light, view, albedo, roughness, None, dim)
-    value, _ = evaluate(known.function, scene[:5], axis, working_dtype(dtype))
-    return (value / math.pi).to(dtype)
+    value, _, facing = evaluate(known.function, scene[:5], axis, working_dtype(dtype))
+    return torch.where(facing, value / math.pi, 0.0).to(dtype)
 
 
 def directional_albedo(

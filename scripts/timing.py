@@ -1,0 +1,95 @@
+"""Times of calls on this machine, interleaved so that all meet the same weather; peaks of memory in fresh processes."""
+
+from __future__ import annotations
+
+import multiprocessing
+import time
+from collections.abc import Callable, Mapping
+from multiprocessing.connection import Connection
+from pathlib import Path
+from statistics import median
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_orennayar.progress import track
+
+Call = Callable[[], object]
+
+
+class Ratio(NamedTuple):
+    """Median, least and most of a quotient of times."""
+
+    median: float
+    least: float
+    most: float
+
+    def __str__(self) -> str:
+        """As tables show it."""
+        return f"{self.median:.2f} ({self.least:.2f} to {self.most:.2f})"
+
+
+def interleave(calls: Mapping[str, Call], runs: int, what: str = "", *, warm: int = 2) -> dict[str, list[float]]:
+    """Milliseconds of every call in every run but the first ``warm``; one call after the other, run by run."""
+    taken: dict[str, list[float]] = {name: [] for name in calls}
+    for _ in track(range(runs + warm), what) if what else range(runs + warm):
+        for name, call in calls.items():
+            begun = time.perf_counter()
+            call()
+            if torch.cuda.is_available():
+                torch.cuda.synchronize()
+            taken[name].append((time.perf_counter() - begun) * 1e3)
+    return {name: t[warm:] for name, t in taken.items()}
+
+
+def ratio(times: Mapping[str, list[float]], name: str, to: str) -> Ratio:
+    """Time of ``name`` over that of ``to`` in the same run."""
+    quotients = [a / b for a, b in zip(times[name], times[to], strict=True)]
+    return Ratio(median(quotients), min(quotients), max(quotients))
+
+
+def forward(function: Callable[..., Tensor], scene: list[Tensor]) -> Call:
+    """A call that computes values alone."""
+
+    def call() -> Tensor:
+        with torch.no_grad():
+            return function(*scene)
+
+    return call
+
+
+def both(function: Callable[..., Tensor], scene: list[Tensor]) -> Call:
+    """A call that computes values and the gradients of all arguments."""
+    leaves = [t.clone(memory_format=torch.preserve_format).requires_grad_() for t in scene]
+    with torch.no_grad():
+        arriving = torch.ones_like(function(*leaves))
+    return lambda: torch.autograd.grad(function(*leaves), leaves, arriving, allow_unused=True)
+
+
+def peak_bytes(make: Callable[..., Call], size: int, *arguments: object) -> int | None:
+    """Memory that ``make(size, *arguments)()`` needs beyond what a fresh process held; Linux only."""
+    if not Path("/proc/self/clear_refs").exists():
+        return None
+    context = multiprocessing.get_context("spawn")
+    receiver, sender = context.Pipe(duplex=False)
+    process = context.Process(target=_measure, args=(sender, make, size, arguments))
+    process.start()
+    sender.close()
+    result: int = receiver.recv()
+    process.join()
+    return result
+
+
+def _measure(sender: Connection, make: Callable[..., Call], size: int, arguments: tuple[object, ...]) -> None:
+    make(16, *arguments)()  # code and threads are loaded, and no memory to speak of kept
+    call = make(size, *arguments)
+    Path("/proc/self/clear_refs").write_text("5")  # resets the high-water mark
+    before = _status("VmRSS")
+    call()
+    sender.send(_status("VmHWM") - before)
+
+
+def _status(field: str) -> int:
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return 1024 * int(next(line.split()[1] for line in lines if line.startswith(field + ":")))
