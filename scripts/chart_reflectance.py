@@ -35,8 +35,8 @@ from torch import Tensor, nn
 from truth import Directions, cosine_weighted, grazing, theory
 
 from torch_orennayar import MODELS, linear_to_srgb, oren_nayar
-from torch_orennayar.export import quiet
 from torch_orennayar.progress import track
+from torch_orennayar.shading_graph import quiet
 
 ROUGHNESS = (5, 10, 20, 30, 40, 50, 60)
 ALBEDO = (0.2, 0.5, 0.9)

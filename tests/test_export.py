@@ -8,7 +8,7 @@ import pytest
 import torch
 import torch.nn.functional as F
 
-from torch_orennayar import MODELS, ExportError, ModelError, export, export_onnx, oren_nayar
+from torch_orennayar import MODELS, ExportError, ModelError, export, export_onnx, oren_nayar, shading_graph
 from torch_orennayar.export import describe_onnx
 
 
@@ -16,6 +16,34 @@ def run(path: Path, **feeds: torch.Tensor) -> torch.Tensor:
     session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
     (answer,) = session.run(None, {name: value.numpy() for name, value in feeds.items()})
     return torch.from_numpy(np.asarray(answer))
+
+
+@pytest.mark.parametrize("rows_a_band", [1, 7, 1000])
+def test_bands_of_rows_are_the_whole_whatever_broadcasts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rows_a_band: int
+) -> None:
+    """Several bands with a rest; maps of one row or one column beside full ones; runs repeat to the bit."""
+    generator = torch.Generator().manual_seed(3)
+    monkeypatch.setattr(shading_graph, "BAND", 2 * 11 * rows_a_band)
+    path = export_onnx("shading", tmp_path / "graph.onnx", model="vcavity")
+    up = torch.tensor([0.0, 0, 1]).reshape(1, 3, 1, 1)
+    for normal, light, albedo, roughness in (
+        ((2, 3, 17, 11), (2, 3, 1, 1), (2, 3, 17, 11), (1, 1, 17, 11)),
+        ((1, 3, 17, 11), (2, 3, 1, 1), (1, 1, 1, 11), (1, 1, 17, 1)),
+        ((2, 3, 1, 1), (1, 3, 1, 1), (1, 2, 17, 11), (1, 1, 1, 1)),
+    ):
+        inputs = {
+            "normal": F.normalize(torch.randn(normal, generator=generator), dim=1),
+            "light": F.normalize(torch.randn(light, generator=generator), dim=1),
+            "view": up,
+            "albedo": torch.rand(albedo, generator=generator),
+            "roughness": torch.rand(roughness, generator=generator),
+        }
+        wanted = oren_nayar(**inputs, model="vcavity")
+        answers = [run(path, **inputs) for _ in range(3)]
+        assert answers[0].shape == wanted.shape
+        assert (answers[0] - wanted).abs().max() <= 1e-5
+        assert all(torch.equal(a, answers[0]) for a in answers)
 
 
 @pytest.mark.parametrize("model", list(MODELS)[:7])
@@ -64,6 +92,9 @@ def test_description_names_inputs_axes_and_units(tmp_path: Path) -> None:
     assert described["inputs"]["light"] == ["light_batch", "3", "1", "1"]
     assert described["outputs"] == {"shading": ["shading_batch", "shading_channels", "shading_height", "shading_width"]}
     assert described["opset"] == 18
+    assert described["operators"]["Loop"] == 1
+    assert described["operators"]["MatMul"] == 2
+    assert described["operators"]["Relu"] == 1  # inside the loop
     assert described["metadata"]["model"] == "qualitative"
     assert "radians" in described["metadata"]["roughness"]
     assert described["bytes"] < 300_000

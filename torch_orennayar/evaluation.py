@@ -67,10 +67,16 @@ def evaluate(function: ModelFunction, scene: Scene, axis: int, dtype: torch.dtyp
         parts = [_finite(t) for t in parts]  # a background of NaN must not reach a gradient
     n, l, v, rho, sigma = parts  # noqa: E741
     ci, co, lv = _dot(n, l, axis), _dot(n, v, axis), _dot(l, v, axis)
-    facing = _facing(ci, co)
+    facing = facing_both(ci, co)
     if differentiate:  # nor must the derivative of a formula below the horizon
         ci, co = torch.where(facing, ci, 1.0), torch.where(facing, co, 1.0)
-    return function(ci.clamp_min(floor_of(dtype)), co.clamp_min(floor_of(dtype)), lv, rho, sigma), ci, facing
+    return above_horizon(function, ci, co, lv, rho, sigma), ci, facing
+
+
+def above_horizon(function: ModelFunction, ci: Tensor, co: Tensor, lv: Tensor, rho: Tensor, sigma: Tensor) -> Tensor:
+    """``function`` with its cosines kept positive."""
+    least = floor_of(ci.dtype)
+    return function(ci.clamp_min(least), co.clamp_min(least), lv, rho, sigma)
 
 
 class _Shade(torch.autograd.Function):
@@ -156,7 +162,7 @@ def _backward_tile(
     arriving = cast(gradient, dtype)
     ci, co = _dot(n, l, axis), _dot(n, v, axis)
     if exact:
-        facing = _facing(ci, co)
+        facing = facing_both(ci, co)
         lit = torch.where(facing, ci, 0.0)
         ci, co = (torch.where(facing, c, 1.0).clamp_min(floor_of(dtype)) for c in (ci, co))
         arriving = torch.where(facing, arriving, 0.0)
@@ -294,7 +300,8 @@ def _dot(a: Tensor, b: Tensor, axis: int) -> Tensor:
     return torch.addcmul(torch.addcmul(ax * bx, ay, by), az, bz).unsqueeze(axis)
 
 
-def _facing(ci: Tensor, co: Tensor) -> Tensor:
+def facing_both(ci: Tensor, co: Tensor) -> Tensor:
+    """Whether the surface faces light and view; False where a cosine is NaN or infinite."""
     return (torch.minimum(ci, co) > 0) & (ci + co < math.inf)
 
 

@@ -2,35 +2,29 @@
 
 from __future__ import annotations
 
-import io
 import json
-import logging
 import math
 import os
-import re
-import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import torch
 import torch.nn.functional as F
-from torch import Tensor, nn
+from torch import Tensor
 
 from ._version import __version__
 from .errors import ExportError
 from .files import atomic_path
 from .reflectance import get_model
 from .shading import oren_nayar
+from .shading_graph import BAND, INPUTS, shading_graph
 
 if TYPE_CHECKING:
     import onnx
 
-OPSET = 18
 TOLERANCE = 1e-5
 """Largest difference from torch that a written graph may show, for values up to about 1."""
-_INPUTS = ("normal", "light", "view", "albedo", "roughness")
 
 
 def export_onnx(
@@ -65,18 +59,19 @@ def export_onnx(
     """
     if what != "shading":
         raise ExportError("what", expected="'shading'", got=repr(what), mend="no other graph can be exported yet")
-    layer = _Shading(get_model(model).name)
-    sizes = ((2, 3, 5, 7), (1, 1, 1, 1), (3, 1, 4, 9), (2, 2, 16, 3))
+    name = get_model(model).name
+    # The last one takes two bands of rows.
+    sizes = ((2, 3, 5, 7), (1, 1, 1, 1), (3, 1, 4, 9), (2, 2, 16, 3), (1, 1, 300, BAND // 200))
     trials = [_shading_inputs(*size, seed, per_pixel_directions) for seed, size in enumerate(sizes)]
-    trials.append(_broadcast(trials[0]))
-    graph = _trace(layer, trials[0], per_pixel_directions)
-    _describe(graph, model)
+    trials += [_broadcast(trials[0]), _broadcast(trials[-1])]
+    graph = shading_graph(name, per_pixel=per_pixel_directions)
+    _describe(graph, name)
     target = Path(path)
     with atomic_path(target) as temporary:
         import onnx
 
         onnx.save(graph, temporary)
-        _verify(temporary, layer, trials)
+        _verify(temporary, name, trials)
     return target
 
 
@@ -100,7 +95,7 @@ def describe_onnx(path: str | os.PathLike[str]) -> dict[str, Any]:
     def shapes(values: Any) -> dict[str, list[str]]:
         return {v.name: [d.dim_param or str(d.dim_value) for d in v.type.tensor_type.shape.dim] for v in values}
 
-    operators = [node.op_type for node in graph.graph.node]
+    operators = list(_operators(graph.graph))
     return {
         "bytes": file.stat().st_size,
         "opset": graph.opset_import[0].version,
@@ -111,13 +106,13 @@ def describe_onnx(path: str | os.PathLike[str]) -> dict[str, Any]:
     }
 
 
-class _Shading(nn.Module):
-    def __init__(self, model: str) -> None:
-        super().__init__()
-        self.model = model
-
-    def forward(self, normal: Tensor, light: Tensor, view: Tensor, albedo: Tensor, roughness: Tensor) -> Tensor:
-        return oren_nayar(normal, light, view, albedo, roughness, model=self.model)
+def _operators(graph: onnx.GraphProto) -> Iterator[str]:
+    """The operator of every node, inside loops too."""
+    for node in graph.node:
+        yield node.op_type
+        for attribute in node.attribute:
+            if attribute.HasField("g"):
+                yield from _operators(attribute.g)
 
 
 def _shading_inputs(
@@ -144,73 +139,6 @@ def _broadcast(inputs: tuple[Tensor, ...]) -> tuple[Tensor, ...]:
     return inputs[0], *(t[:1, :, :1, :1].contiguous() for t in inputs[1:])
 
 
-def _trace(layer: nn.Module, example: tuple[Tensor, ...], per_pixel: bool) -> onnx.ModelProto:
-    """Trace with common axes, then give every axis that may differ a name of its own."""
-    axes = torch.export.Dim
-    batch, channels, height, width = (axes(n) for n in ("batch", "channels", "height", "width"))
-    area = {2: height, 3: width}
-    direction = {0: batch} | (area if per_pixel else {})
-    dynamic = {
-        "normal": {0: batch} | area,
-        "light": direction,
-        "view": direction,
-        "albedo": {0: batch, 1: channels} | area,
-        "roughness": {0: batch} | area,
-    }
-    try:
-        with quiet():
-            program = torch.onnx.export(
-                layer,
-                example,
-                input_names=list(_INPUTS),
-                output_names=["shading"],
-                dynamic_shapes=dynamic,
-                opset_version=OPSET,
-                dynamo=True,
-                verbose=False,
-            )
-            assert program is not None
-            graph = program.model_proto
-    except Exception as error:  # the exporter raises many kinds
-        raise ExportError(
-            "model",
-            expected="a reflectance function that torch.onnx can export",
-            got=f"{type(error).__name__}: {re.sub(chr(27) + '[^m]*m', '', str(error)).partition(chr(10))[0]}",
-            mend="build it from element-wise torch operations without Python branches on values",
-        ) from error
-    _name_axes(graph)
-    return graph
-
-
-@contextmanager
-def quiet() -> Iterator[None]:
-    """The exporter prints and logs its steps; a library call should not."""
-    loggers = [logging.getLogger(name) for name in ("torch.onnx", "onnxscript", "onnx_ir")]
-    levels = [logger.level for logger in loggers]
-    try:
-        for logger in loggers:
-            logger.setLevel(logging.ERROR)
-        with warnings.catch_warnings(), redirect_stdout(io.StringIO()):
-            warnings.simplefilter("ignore")
-            yield
-    finally:
-        for logger, level in zip(loggers, levels, strict=True):
-            logger.setLevel(level)
-
-
-def _name_axes(graph: onnx.ModelProto) -> None:
-    """Inputs broadcast, so their axes may differ: ``light_batch``, ``albedo_height``; drop the exporter's notes."""
-    for value in (*graph.graph.input, *graph.graph.output):
-        for axis in value.type.tensor_type.shape.dim:
-            if axis.dim_param:
-                axis.dim_param = f"{value.name}_{axis.dim_param}"
-    del graph.graph.value_info[:]
-    for node in graph.graph.node:  # traces of the exporting machine: paths and code
-        del node.metadata_props[:]
-        node.doc_string = ""
-    del graph.graph.metadata_props[:]
-
-
 def _describe(graph: onnx.ModelProto, model: str) -> None:
     """Write meaning and units into the file."""
     import onnx
@@ -233,7 +161,7 @@ def _describe(graph: onnx.ModelProto, model: str) -> None:
     graph.producer_version = __version__
 
 
-def _verify(file: Path, layer: nn.Module, trials: list[tuple[Tensor, ...]]) -> None:
+def _verify(file: Path, model: str, trials: list[tuple[Tensor, ...]]) -> None:
     """ONNX Runtime's answers against torch's at several sizes."""
     import onnx
     import onnxruntime
@@ -242,10 +170,9 @@ def _verify(file: Path, layer: nn.Module, trials: list[tuple[Tensor, ...]]) -> N
         onnx.checker.check_model(str(file), full_check=True)
         session = onnxruntime.InferenceSession(str(file), providers=["CPUExecutionProvider"])
         for trial in trials:
-            feeds = {name: value.numpy() for name, value in zip(_INPUTS, trial, strict=True)}
+            feeds = {name: value.numpy() for name, value in zip(INPUTS, trial, strict=True)}
             (answer,) = session.run(None, feeds)
-            with torch.no_grad():
-                wanted = layer(*trial)
+            wanted = oren_nayar(*trial, model=model)
             shape = tuple(wanted.shape)
             difference = (torch.from_numpy(answer) - wanted).abs().max().item() if answer.shape == shape else math.inf
             if not difference <= TOLERANCE:

@@ -1,0 +1,200 @@
+"""Build the ONNX graph of shading: a formula traced from torch, and around it what a runtime needs to be fast.
+
+A runtime writes the result of every node to memory. So the cosines of one direction per image are products of matrices,
+a node each, and the formula runs in a loop over bands of rows whose temporaries fit in cache.
+"""
+
+from __future__ import annotations
+
+import io
+import logging
+import re
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stdout
+from typing import TYPE_CHECKING, Any
+
+import torch
+from torch import Tensor, nn
+
+from .errors import ExportError
+from .evaluation import above_horizon, facing_both
+from .reflectance import ModelFunction, get_model
+
+if TYPE_CHECKING:
+    import onnx
+
+OPSET = 18
+BAND = 1 << 17
+"""Elements of a band of rows: for one thread fewer would be faster, for several more."""
+INPUTS = ("normal", "light", "view", "albedo", "roughness")
+_MAPS = ("ci", "co", "lv", "albedo", "roughness")
+
+
+class _Formula(nn.Module):
+    """Shading from cosines."""
+
+    def __init__(self, function: ModelFunction) -> None:
+        super().__init__()
+        self.function = function
+
+    def forward(self, ci: Tensor, co: Tensor, lv: Tensor, albedo: Tensor, roughness: Tensor) -> Tensor:
+        value = above_horizon(self.function, ci, co, lv, albedo, roughness)
+        return torch.where(facing_both(ci, co), value * ci, 0.0)
+
+
+class _Nodes:
+    """A list of nodes in the making; every call adds one and gives the name of its output."""
+
+    def __init__(self, prefix: str) -> None:
+        self.prefix, self.nodes = prefix, list[Any]()
+
+    def __call__(self, operator: str, *inputs: str, **attributes: object) -> str:
+        import onnx
+
+        name = f"{self.prefix}{operator.lower()}_{len(self.nodes)}"
+        self.nodes.append(onnx.helper.make_node(operator, list(inputs), [name], name=name, **attributes))
+        return name
+
+
+def shading_graph(model: str, *, per_pixel: bool) -> onnx.ModelProto:
+    """The graph of ``model``; light and view are (B, 3, 1, 1), or maps if ``per_pixel``. Every axis is dynamic."""
+    import onnx
+    from onnx import helper
+
+    formula = _trace(get_model(model).function).graph
+    constants = {"zero": [0], "one": [1], "two": [2], "three": [3], "four": [4], "minus_one": [-1], "band_size": [BAND]}
+    constants |= {"row_of_3": [-1, 1, 3], "planes_of_3": [0, 3, -1]}
+    add = _Nodes("")
+
+    picture = add("Concat", "minus_one", "one", add("Shape", "normal", start=2), axis=0)  # (B, 1, H, W)
+
+    def cosine(a: str, b: str) -> str:
+        return add("ReduceSum", add("Mul", a, b), "one", keepdims=1)
+
+    def cosine_of_one(direction: str) -> str:
+        """(B, 1, 3) times (B, 3, H W)."""
+        product = add("MatMul", add("Reshape", direction, "row_of_3"), add("Reshape", "normal", "planes_of_3"))
+        return add("Reshape", product, picture)
+
+    maps = {"albedo": "albedo", "roughness": "roughness", "lv": cosine("light", "view")}
+    for name, direction in (("ci", "light"), ("co", "view")):
+        maps[name] = cosine("normal", direction) if per_pixel else cosine_of_one(direction)
+
+    # Bands: as many rows as make BAND elements of the broadcast picture.
+    heights = {n: add("Shape", value, start=2, end=3) for n, value in maps.items()}
+    sizes = add("Max", *(add("Shape", value) for value in maps.values()))
+    height = add("Slice", sizes, "two", "three", "zero")
+    row = add("Mul", add("Slice", sizes, "zero", "one", "zero"), add("Slice", sizes, "three", "four", "zero"))
+    rows = add("Max", add("Div", "band_size", row), "one")
+    bands = add("Squeeze", add("Div", add("Sub", add("Add", height, rows), "one"), rows), "zero")
+    lasts = {n: add("Sub", value, "one") for n, value in heights.items()}
+
+    # The body: cut every map, run the formula, keep the band. A map of one row is the same in every band.
+    inner = _Nodes("band_")
+    start = inner("Mul", "index", rows)
+    stop = inner("Add", start, rows)
+    cut = {n: inner("Slice", value, inner("Min", start, lasts[n]), stop, "two") for n, value in maps.items()}
+    for node in formula.node:
+        copied = onnx.NodeProto()
+        copied.CopyFrom(node)
+        for k, name in enumerate(copied.input):
+            copied.input[k] = cut.get(name, f"formula_{name}" if name else "")
+        for k, name in enumerate(copied.output):
+            copied.output[k] = f"formula_{name}"
+        copied.name = f"formula_{node.name}"
+        inner.nodes.append(copied)
+    kept = inner("SequenceInsert", "so_far", f"formula_{formula.output[0].name}")
+    goes_on = inner("Identity", "go_on")
+    pictures = helper.make_sequence_type_proto(helper.make_tensor_type_proto(onnx.TensorProto.FLOAT, None))
+    body = helper.make_graph(
+        inner.nodes,
+        "band",
+        [
+            helper.make_tensor_value_info("index", onnx.TensorProto.INT64, []),
+            helper.make_tensor_value_info("go_on", onnx.TensorProto.BOOL, []),
+            helper.make_value_info("so_far", pictures),
+        ],
+        [
+            helper.make_tensor_value_info(goes_on, onnx.TensorProto.BOOL, []),
+            helper.make_value_info(kept, pictures),
+        ],
+    )
+    all_bands = add("Loop", bands, "", add("SequenceEmpty"), body=body)
+    add.nodes.append(helper.make_node("ConcatFromSequence", [all_bands], ["shading"], axis=2))
+
+    initializers = [onnx.numpy_helper.from_array(torch.tensor(v).numpy(), n) for n, v in constants.items()]
+    for value in formula.initializer:
+        value.name = f"formula_{value.name}"
+        initializers.append(value)
+    graph = helper.make_graph(add.nodes, "shading", _signature(per_pixel), [_picture("shading")], initializers)
+    opsets = [helper.make_opsetid("", OPSET)]
+    return helper.make_model(graph, opset_imports=opsets, ir_version=helper.find_min_ir_version_for(opsets))
+
+
+def _signature(per_pixel: bool) -> list[Any]:
+    """Inputs broadcast, so each axis that may differ has a name of its own: ``light_batch``, ``albedo_height``."""
+    return [
+        _picture("normal", "3"),
+        *(_picture(name, "3", *(() if per_pixel else ("1", "1"))) for name in ("light", "view")),
+        _picture("albedo"),
+        _picture("roughness", "1"),
+    ]
+
+
+def _picture(name: str, *fixed: str) -> Any:
+    """Float (B, C, H, W) with ``fixed`` sizes from C on."""
+    from onnx import TensorProto, helper
+
+    axes = [f"{name}_{axis}" for axis in ("batch", "channels", "height", "width")]
+    sizes = [axes[0], *(int(size) for size in fixed), *axes[1 + len(fixed) :]]
+    return helper.make_tensor_value_info(name, TensorProto.FLOAT, sizes)
+
+
+def _trace(function: ModelFunction) -> onnx.ModelProto:
+    """A reflectance function as element-wise nodes."""
+    batch, channels, height, width = (torch.export.Dim(n) for n in ("batch", "channels", "height", "width"))
+    area: dict[int, object] = {0: batch, 2: height, 3: width}
+    shapes = {name: area | ({1: channels} if name == "albedo" else {}) for name in _MAPS}
+    example = tuple(torch.rand(2, 3 if name == "albedo" else 1, 5, 7) for name in _MAPS)
+    try:
+        with quiet():
+            program = torch.onnx.export(
+                _Formula(function),
+                example,
+                input_names=list(_MAPS),
+                output_names=["shading"],
+                dynamic_shapes=shapes,
+                opset_version=OPSET,
+                dynamo=True,
+                verbose=False,
+            )
+        assert program is not None
+        graph: onnx.ModelProto = program.model_proto
+    except Exception as error:  # the exporter raises many kinds
+        raise ExportError(
+            "model",
+            expected="a reflectance function that torch.onnx can export",
+            got=f"{type(error).__name__}: {re.sub(chr(27) + '[^m]*m', '', str(error)).partition(chr(10))[0]}",
+            mend="build it from element-wise torch operations without Python branches on values",
+        ) from error
+    for node in graph.graph.node:  # traces of the exporting machine: paths and code
+        del node.metadata_props[:]
+        node.doc_string = ""
+    return graph
+
+
+@contextmanager
+def quiet() -> Iterator[None]:
+    """The exporter prints and logs its steps; a library call should not."""
+    loggers = [logging.getLogger(name) for name in ("torch.onnx", "onnxscript", "onnx_ir")]
+    levels = [logger.level for logger in loggers]
+    try:
+        for logger in loggers:
+            logger.setLevel(logging.ERROR)
+        with warnings.catch_warnings(), redirect_stdout(io.StringIO()):
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        for logger, level in zip(loggers, levels, strict=True):
+            logger.setLevel(level)
