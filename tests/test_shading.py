@@ -243,6 +243,44 @@ def test_vmap() -> None:
 
 
 @pytest.mark.parametrize("model", CLOSED)
+def test_function_transforms_agree_with_autograd(model: str) -> None:
+    """jacrev, jacfwd, vmap of grad, and the vectorised Jacobian of autograd."""
+    scene = facing_scene()
+
+    def shade(*a: Tensor) -> Tensor:
+        return oren_nayar(*a, model=model)
+
+    wanted = torch.autograd.functional.jacobian(shade, tuple(scene))
+    every = tuple(range(5))
+    for found in (
+        torch.func.jacrev(shade, every)(*scene),
+        torch.func.jacfwd(shade, every)(*scene),
+        torch.autograd.functional.jacobian(shade, tuple(scene), vectorize=True),
+    ):
+        for a, b in zip(found, wanted, strict=True):
+            assert torch.allclose(a, b, rtol=1e-9, atol=1e-12)
+    one_pixel = torch.func.grad(lambda *a: shade(*(t[None] for t in a)).sum(), every)
+    compiled = torch.compile(torch.func.vmap(one_pixel), fullgraph=True, backend="aot_eager")
+    for transform in (torch.func.vmap(one_pixel), compiled):
+        for k, slopes in enumerate(transform(*scene)):
+            assert torch.allclose(slopes, wanted[k].sum((0, 1)), rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("model", CLOSED)
+def test_hessians_agree_between_transforms_and_autograd(model: str) -> None:
+    scene = facing_scene()
+
+    def total(normal: Tensor, sigma: Tensor) -> Tensor:
+        return oren_nayar(normal, *scene[1:4], sigma, model=model).square().sum()
+
+    wanted = torch.autograd.functional.hessian(total, (scene[0], scene[4]))
+    found = torch.func.hessian(total, (0, 1))(scene[0], scene[4])
+    for row, other in zip(found, wanted, strict=True):
+        for a, b in zip(row, other, strict=True):
+            assert torch.allclose(a, b, rtol=1e-8, atol=1e-10)
+
+
+@pytest.mark.parametrize("model", CLOSED)
 def test_second_derivatives_and_forward_mode(model: str) -> None:
     inputs = [t.requires_grad_() for t in facing_scene()]
     assert torch.autograd.gradgradcheck(lambda *a: oren_nayar(*a, model=model), inputs)
@@ -268,6 +306,25 @@ def test_compiles_in_one_graph_with_gradients(model: str) -> None:
         assert sigmas[0].grad is not None
         assert sigmas[1].grad is not None
         assert torch.allclose(sigmas[1].grad, sigmas[0].grad, rtol=1e-4)
+
+
+@pytest.mark.parametrize("model", ["qualitative", "vcavity", "eon"])
+def test_compiled_gradients_of_every_argument_at_any_batch_and_size(model: str) -> None:
+    def shade(*a: Tensor) -> Tensor:
+        return oren_nayar(*a[:5], irradiance=a[5], model=model)
+
+    compiled = torch.compile(shade, fullgraph=True, backend="aot_eager", dynamic=True)
+    for batch, height, width in ((2, 4, 5), (3, 7, 4), (1, 1, 6)):
+        generator = torch.Generator().manual_seed(batch)
+        scene = [unit(batch, 3, height, width, seed=1), unit(batch, 3, 1, 1, seed=2), unit(1, 3, height, width, seed=3)]
+        scene += [torch.rand(batch, n, height, width, generator=generator).double() for n in (3, 1)]
+        scene += [torch.rand(batch, 3, 1, 1, generator=generator).double()]
+        leaves = [t.requires_grad_() for t in scene]
+        wanted, found = shade(*leaves), compiled(*leaves)
+        assert torch.allclose(found, wanted, rtol=1e-10, atol=1e-12)
+        slopes = (torch.autograd.grad(value, leaves, torch.ones_like(value)) for value in (found, wanted))
+        for a, b in zip(*slopes, strict=True):
+            assert torch.allclose(a, b, rtol=1e-9, atol=1e-10)
 
 
 def test_torch_export() -> None:
@@ -303,6 +360,34 @@ def test_strides_do_not_matter() -> None:
         oren_nayar(normal.contiguous(memory_format=torch.channels_last), light, view, albedo, roughness), plain
     )
     assert torch.equal(oren_nayar(normal, light.expand(2, 3, 4, 5), view.expand(2, 3, 4, 5), albedo, roughness), plain)
+
+
+@pytest.mark.parametrize("shape", [(0, 3, 4, 5), (1, 3, 1, 5), (1, 3, 5, 1), (1, 3, 1, 1), (2, 3, 0, 4)])
+def test_thin_and_empty_pictures_have_gradients(shape: tuple[int, ...]) -> None:
+    normal = F.normalize(torch.rand(shape, generator=torch.Generator().manual_seed(0)), dim=1).requires_grad_()
+    sigma, light = torch.tensor(0.4, requires_grad=True), UP.reshape(1, 3, 1, 1).clone().requires_grad_()
+    value = oren_nayar(normal, light, UP.reshape(1, 3, 1, 1), 0.5, sigma, model="vcavity")
+    assert value.shape == (shape[0], 1, *shape[2:])
+    value.sum().backward()
+    for leaf in (normal, light, sigma):
+        assert leaf.grad is not None
+        assert leaf.grad.shape == leaf.shape
+        assert leaf.grad.isfinite().all()
+    assert (sigma.grad != 0) == (value.numel() > 0)
+
+
+def test_gradients_do_not_depend_on_strides() -> None:
+    scene = random_scene()
+    leaves = [t.clone().requires_grad_() for t in scene]
+    wanted = torch.autograd.grad(oren_nayar(*leaves, model="vcavity").sum(), leaves)
+    last = [t.contiguous(memory_format=torch.channels_last).requires_grad_() for t in scene]
+    found = torch.autograd.grad(oren_nayar(*last, model="vcavity").sum(), last)
+    for a, b in zip(found, wanted, strict=True):
+        assert torch.allclose(a, b, rtol=1e-12, atol=1e-14)
+    wide = [t.detach().expand(2, -1, 4, 5).requires_grad_() for t in scene]  # stride 0
+    found = torch.autograd.grad(oren_nayar(*wide, model="vcavity").sum(), wide)
+    for a, b in zip(found, wanted, strict=True):
+        assert torch.allclose(a.sum_to_size(b.shape), b, rtol=1e-10, atol=1e-12)
 
 
 def test_float16_gradients_saturate() -> None:
@@ -427,6 +512,17 @@ def test_bad_input_names_argument_and_mend(change: dict[str, object], error: typ
     }
     with pytest.raises(error, match=words):
         oren_nayar(**(arguments | change))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("argument", ["normal", "light", "view"])
+def test_large_maps_of_no_unit_vectors_are_refused_and_gaps_are_not(argument: str) -> None:
+    maps = {name: unit(1, 3, 200, 300, seed=k).float() for k, name in enumerate(("normal", "light", "view"))}
+    maps[argument][..., :150, :] = 0  # background
+    oren_nayar(**maps, albedo=0.5, roughness=0.3)
+    oren_nayar(**{name: t.bfloat16() for name, t in maps.items()}, albedo=0.5, roughness=0.3)
+    maps[argument] = maps[argument] * 0.9  # as averaging leaves them
+    with pytest.raises(RangeError, match=f"{argument}.*unit"):
+        oren_nayar(**maps, albedo=0.5, roughness=0.3)
 
 
 @pytest.mark.parametrize(

@@ -40,7 +40,8 @@ def shade(model: Model, scene: Scene, axis: int, dtype: torch.dtype) -> Tensor:
     tensors = [t for t in scene if t is not None]
     differentiate = torch.is_grad_enabled() and any(t.requires_grad for t in tensors)
     if torch.compiler.is_compiling():
-        in_tiles = differentiate and model.gradient is not None and not torch.compiler.is_exporting()
+        by_hand = model.gradient is not None and not torch.compiler.is_exporting()
+        in_tiles = differentiate and by_hand and not _transformed(tensors)
     else:
         traced = torch.jit.is_tracing()  # type: ignore[attr-defined, no-untyped-call]
         in_tiles = not (traced or tensors[0].is_meta or _transformed(tensors))
@@ -94,7 +95,7 @@ class _Shade(torch.autograd.Function):
         if torch.compiler.is_compiling():
             parts = _backward_tile(ctx.model, scene, ctx.axis, gradient, needed, exact=True)
             found = [None if p is None else _narrow(p, t.dtype) for p, t in zip(parts, scene, strict=True)]
-        elif torch.is_grad_enabled() or _transformed(scene):  # second derivatives, vectorised Jacobians
+        elif torch.is_grad_enabled() or _transformed((*scene, gradient)):  # second derivatives, Jacobians
             with torch.enable_grad():
                 result = shade_whole(ctx.model, scene, ctx.axis, ctx.dtype)
             wanted = [t for t, wants in zip(scene, needed, strict=True) if wants]
@@ -225,9 +226,12 @@ def _gather(pairs: Sequence[tuple[Tensor | None, Tensor]], like: Tensor, axis: i
 
 
 def _transformed(tensors: Sequence[Tensor]) -> bool:
-    """Whether a function transform (``vmap``, ``jacrev``) or forward mode is at work."""
-    transforms: bool = torch._C._are_functorch_transforms_active()
-    return transforms or any(t is not None and forward_ad.unpack_dual(t).tangent is not None for t in tensors)
+    """Whether a function transform (``vmap``, ``jacrev``), a vectorised Jacobian or forward mode is at work."""
+    if torch.compiler.is_compiling() or torch._C._are_functorch_transforms_active():
+        return torch._C._are_functorch_transforms_active()
+    known = [t for t in tensors if t is not None]
+    batched = torch._C._functorch.is_legacy_batchedtensor  # autograd.functional's own vmap
+    return any(batched(t) or forward_ad.unpack_dual(t).tangent is not None for t in known)
 
 
 def _shape(scene: Scene, axis: int) -> tuple[int, ...]:

@@ -74,7 +74,7 @@ def fujii(ci: Tensor, co: Tensor, lv: Tensor, rho: Tensor, sigma: Tensor, weight
     over = torch.maximum(ci, co).reciprocal()
     above, step = s.relu() * over, _step(s)
     t = s.clamp_max(0) + above
-    bounce = rho.clamp(0, 1)
+    bounce = rho.clamp_max(1)
     whole = addcmul(addcmul(a, c, bounce), b, t)
     inner = weight * rho
     by_t = inner * b
@@ -96,7 +96,7 @@ def vcavity(ci: Tensor, co: Tensor, lv: Tensor, rho: Tensor, sigma: Tensor, weig
     x = sigma * sigma
     over_x = (x + c).reciprocal()
     y = x * over_x
-    b = rho.clamp(0, 1)
+    b = rho.clamp_max(1)
     over_b = (1 - beta * b).reciprocal()
     bounces = b * over_b
     yy, l = y * y, y * bounces  # noqa: E741

@@ -6,7 +6,7 @@ function returns ``pi f_r``: a Lambertian surface gives its albedo. The cosines 
 positive (the caller guards the horizon), so no formula needs angles, azimuths or a projected vector.
 
 Albedo above 1 (a capture of unknown exposure) scales the result; light between facets is computed
-with the albedo cut to [0, 1], outside of which the inter-reflection series means nothing.
+with the albedo cut to 1, beyond which the inter-reflection series means nothing.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ def fujii(ci: Tensor, co: Tensor, lv: Tensor, rho: Tensor, sigma: Tensor) -> Ten
     """Fujii (2012), "improved Oren-Nayar": keeps negative ``s`` and the mean inter-reflection term."""
     a, b = _a_b(sigma, 0.33)
     x, s = sigma * sigma, lv - ci * co
-    bounce = 0.17 * rho.clamp(0, 1) * (x / (x + 0.13))
+    bounce = 0.17 * rho.clamp_max(1) * (x / (x + 0.13))
     return rho * torch.addcmul(a + bounce, b, s.clamp_max(0) + s.relu() / torch.maximum(ci, co))
 
 
@@ -105,7 +105,7 @@ def full(ci: Tensor, co: Tensor, lv: Tensor, rho: Tensor, sigma: Tensor) -> Tens
     c2_term = b * (s - back) / c_beta
     c3 = 0.125 * (x / (x + 0.09)) * (alpha * beta * (4 / torch.pi**2)) ** 2
     c3_term = (1 - cos_phi.abs()) * c3 * (sin_a + sin_b) / (ci + co)
-    bounce = 0.17 * rho.clamp(0, 1) * (x / (x + 0.13)) * (1 - cos_phi * (beta * (2 / torch.pi)) ** 2)
+    bounce = 0.17 * rho.clamp_max(1) * (x / (x + 0.13)) * (1 - cos_phi * (beta * (2 / torch.pi)) ** 2)
     return rho * (a + c2_term + c3_term + bounce)
 
 
@@ -130,12 +130,12 @@ def vcavity_form(
     a, g, d = linear[:14], linear[14:19], linear[19:]
     x = sigma * sigma
     y = x / (x + c)
-    b = rho.clamp(0, 1)
+    b = rho.clamp_max(1)
     yy, l = y * y, y * (b / (1 - beta * b))  # noqa: E741
     q, p, h = ci * co, ci + co, 1 + lv
     s, pp = lv - q, p * p
     k = k0 + k1 * y + k2 * yy
-    m, hq = 1 - k, 2 * (h * q)
+    m, hq = 1 - k, (2 * h) * q
     mq = m * q
     u = y / (k * (k + m * (pp - 2 * q)) + mq * mq).sqrt()  # the root of (k + m ci^2) (k + m co^2)
     r = (pp + (kappa + turn * y) * (pp - hq) + 1e-12).rsqrt()
@@ -143,7 +143,7 @@ def vcavity_form(
     zero = qr * (a[0] * hr + a[2]) + a[1] * pr + a[3] * yp + b * (g[0] + g[1] * yy + g[2] * p)
     zero = 1 + y * (zero + l * (d[0] + y * (d[1] * q + d[2] * h)))
     one = hr * (a[4] + y * (a[5] + a[6] * q + a[7] * pr)) + s * (a[8] + a[9] * s + a[10] * yp)
-    one = one + y * (a[11] + b * (r * (g[3] * qr + g[4] * (h * p)))) + l * (d[3] * q)
+    one = one + y * (a[11] + b * (r * (g[3] * qr + (g[4] * h) * p))) + l * (d[3] * q)
     two = a[12] + a[13] * p + l * (d[4] * (s * s))
     return zero + u * (one + u * two)
 
@@ -166,7 +166,7 @@ def eon_from_r(ci: Tensor, co: Tensor, lv: Tensor, rho: Tensor, r: Tensor) -> Te
     a = 1 / (1 + c1 * r)
     s = lv - ci * co
     single = a * (1 + r * (s.clamp_max(0) + s.relu() / torch.maximum(ci, co)))
-    bounce_rho = rho.clamp(0, 1)
+    bounce_rho = rho.clamp_max(1)
     mean_albedo = a * (1 + c2 * r)
     lost = (c1 - _eon_g(ci)).clamp_min(0) * (c1 - _eon_g(co)).clamp_min(0) * r * a / (c1 - c2)
     multiple = bounce_rho * mean_albedo / (1 - bounce_rho * (1 - mean_albedo)) * lost
