@@ -13,8 +13,9 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from .evaluation import pull
 from .progress import track
-from .reflectance import ModelFunction, get_model
+from .reflectance import Model, get_model
 
 CHUNK = 120_000
 """Observations solved together: temporaries stay in cache.
@@ -66,14 +67,14 @@ def fit(
     ``start`` continues from an earlier fit of the same pixels.
     """
     every_lit = model != "lambert" if lit_only is None else lit_only
-    function = get_model(model).function
+    known = get_model(model)
     size = max(1, (CHUNK if grey.device.type == "cpu" else CHUNK_ACCELERATOR) // len(lights))
     starts = range(0, len(grey), size)
 
     @torch.no_grad()  # threads do not inherit it
     def solve(i: int) -> PixelFit:
         begin = None if start is None else (start.normal[i : i + size], start.albedo[i : i + size])
-        return _fit_chunk(grey[i : i + size], lights, function, every_lit, sigma, steps, begin)
+        return _fit_chunk(grey[i : i + size], lights, known, every_lit, sigma, steps, begin)
 
     with ThreadPoolExecutor(torch.get_num_threads()) as pool:
         try:
@@ -98,7 +99,7 @@ def least_squares(grey: Tensor, lights: Tensor) -> PixelFit:
 
 def predict(fitted: PixelFit, lights: Tensor, model: str, sigma: float) -> Tensor:
     """What the fit says every pixel shows under ``lights``, (P, K)."""
-    value, ci = _evaluate(get_model(model).function, fitted.normal, fitted.albedo, lights, sigma)[:2]
+    value, ci = _evaluate(get_model(model), fitted.normal, fitted.albedo, lights, sigma)[:2]
     return value * ci
 
 
@@ -107,12 +108,12 @@ def albedo_per_channel(fitted: PixelFit, colour: Tensor, lights: Tensor, model: 
 
     Inter-reflection makes the model nonlinear in albedo: a few fixed-point steps settle it.
     """
-    function = get_model(model).function
+    known = get_model(model)
     channels = []
     for channel in colour.unbind(1):
         albedo = fitted.albedo
         for _ in range(1 if model == "lambert" else 4):
-            value, ci, *_ = _evaluate(function, fitted.normal, albedo, lights, sigma)
+            value, ci, *_ = _evaluate(known, fitted.normal, albedo, lights, sigma)
             shape = value * ci / albedo
             weighted = fitted.weight * shape
             norm = (weighted * shape).sum(1, keepdim=True).clamp_min(1e-12)
@@ -124,7 +125,7 @@ def albedo_per_channel(fitted: PixelFit, colour: Tensor, lights: Tensor, model: 
 def _fit_chunk(
     grey: Tensor,
     lights: Tensor,
-    function: ModelFunction,
+    model: Model,
     every_lit: bool,
     sigma: float,
     steps: int,
@@ -135,7 +136,7 @@ def _fit_chunk(
     scale = grey.abs().mean(1, keepdim=True).clamp_min(1e-12)
     normal, albedo = start or _start(grey, lights, scale)
     for _ in range(steps):
-        value, ci, d_ci, d_co, d_rho = _evaluate(function, normal, albedo, lights, sigma)
+        value, ci, d_ci, d_co, d_rho = _evaluate(model, normal, albedo, lights, sigma)
         residual = grey - value * ci
         noise = _noise(residual, used, scale)
         weight = used / (1 + (residual / (2 * noise)) ** 2) ** 2
@@ -146,7 +147,7 @@ def _fit_chunk(
         turn = step[:, :2] * (0.25 / step[:, :2].norm(dim=1, keepdim=True).clamp_min(0.25))
         normal = _upward(normal + (basis * turn[:, :, None]).sum(1))
         albedo = torch.maximum(albedo + step[:, 2:] * scale, 1e-6 * scale)
-    value, ci, *_ = _evaluate(function, normal, albedo, lights, sigma)
+    value, ci, *_ = _evaluate(model, normal, albedo, lights, sigma)
     residual = (grey - value * ci).abs().mean(1, keepdim=True)
     return PixelFit(normal, albedo, weight, residual, 1.25 * residual / scale * _tangent_spread(matrix))
 
@@ -158,20 +159,16 @@ def _start(grey: Tensor, lights: Tensor, scale: Tensor) -> tuple[Tensor, Tensor]
 
 
 def _evaluate(
-    function: ModelFunction, normal: Tensor, albedo: Tensor, lights: Tensor, sigma: float
+    model: Model, normal: Tensor, albedo: Tensor, lights: Tensor, sigma: float
 ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
     """``pi f_r``, n.l and the derivatives of the former by n.l, n.v and albedo, (P, K); 0 where unlit."""
     raw = normal @ lights.T
-    lit = raw > 0
-    with torch.enable_grad():
-        ci = torch.where(lit, raw, 1.0).clamp_min(1e-4).requires_grad_()
-        co = normal[:, 2:].expand_as(ci).contiguous().requires_grad_()
-        rho = albedo.expand_as(ci).contiguous().requires_grad_()
-        value = function(ci, co, lights[:, 2].expand_as(ci), rho, normal.new_tensor(sigma))
-        # Element-wise functions: the gradient of the sum holds every element's own derivative.
-        derivatives = torch.autograd.grad(value.sum(), (ci, co, rho), allow_unused=True, materialize_grads=True)
-    d_ci, d_co, d_rho = (torch.where(lit, d, 0.0) for d in derivatives)
-    return torch.where(lit, value.detach(), 0.0), ci.detach(), d_ci, d_co, d_rho
+    lit = raw.sign().relu()
+    ci = torch.maximum(raw * lit, 1 - lit).clamp_min(1e-4)
+    co, rho = (t.expand_as(ci).contiguous() for t in (normal[:, 2:], albedo))
+    value, (d_ci, d_co, _, d_rho, _) = pull(model, (ci, co, lights[:, 2], rho, normal.new_tensor(sigma)), lit)
+    by_ci, by_co, by_rho = (torch.zeros_like(lit) if d is None else d for d in (d_ci, d_co, d_rho))
+    return value * lit, ci, by_ci, by_co, by_rho
 
 
 def _normal_equations(

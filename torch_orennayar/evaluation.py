@@ -180,7 +180,7 @@ def _backward_tile(
     weight, at_ci = (alone, arriving) if irradiance is None else (alone * irradiance, arriving * irradiance)
     arguments = ci, co, lv, rho, sigma
     shape = torch.broadcast_shapes(*(t.shape for t in arguments))
-    value, found = _pull(model, arguments, weight.sum_to_size(shape))
+    value, found = pull(model, arguments, weight.sum_to_size(shape))
     by_ci, by_co, by_lv, by_rho, by_sigma = (
         None if by is None else by.sum_to_size(t.shape) for by, t in zip(found, arguments, strict=True)
     )
@@ -200,7 +200,7 @@ def _backward_tile(
     ]
 
 
-def _pull(
+def pull(
     model: Model, arguments: tuple[Tensor, Tensor, Tensor, Tensor, Tensor], weight: Tensor
 ) -> tuple[Tensor, tuple[Tensor | None, ...]]:
     """A model's value and ``weight`` times its derivatives, by hand where it has them so."""
