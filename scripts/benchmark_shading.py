@@ -2,7 +2,8 @@
 
     python scripts/benchmark_shading.py [-o FOLDER] [--size 1024] [--quick]
 
-Compiled: over the memory floor, a compiled kernel that reads and writes the same bytes and computes next to nothing.
+Compiled: over the memory floor, a compiled kernel that reads and writes the same bytes and computes next to nothing,
+for a picture that may fit in a processor's cache and for one of 16 times as many pixels.
 Eager: over the classic form in angles as course notes have it (`acos`), which is measured on pictures in planes, as
 image tensors are, and on x, y, z last. Memory: the peak of a fresh process over what it held before the call. ONNX
 Runtime: over eager torch on the same threads, in turns of their own, since its idle threads spin. Half precision:
@@ -63,7 +64,7 @@ def compiled(size: int, runs: int) -> dict[str, dict[str, Ratio]]:
     parts, found = scene(size), {}
     floor = functools.partial(memory_floor, dim=1)
     for kind, make in (("compiled, forward", forward), ("compiled, forward and backward", both)):
-        row, floors = found.setdefault(kind, {}), []
+        row, floors = found.setdefault(f"{kind}, {size}", {}), []
         calls = {name: make(torch.compile(model(name), fullgraph=True), parts) for name in CLOSED}
         if make is forward:
             calls["clone of as many bytes"] = lambda: [t.clone() for t in (parts[0], parts[3])]
@@ -80,7 +81,11 @@ def eager(size: int, runs: int) -> dict[str, dict[str, Ratio]]:
     """Time over lambert's forward, and how many times faster than the `acos` code forward and backward."""
     parts = scene(size)
     times = interleave({name: forward(model(name), parts) for name in CLOSED}, runs, "eager, forward")
-    found = {"eager, forward over lambert": {name: ratio(times, name, "lambert") for name in CLOSED}}
+    few = 32  # pixels in a row of the picture that the slow theory gets
+    times["theory"] = [t * (size / few) ** 2 for t in interleave({"": forward(model("theory"), scene(few))}, 3)[""]]
+    times["theory"] *= -(-runs // 3)
+    times["theory"] = times["theory"][:runs]
+    found = {"eager, forward over lambert": {name: ratio(times, name, "lambert") for name in MODELS}}
     found["eager, forward in ms"] = {n: Ratio(median(t), min(t), max(t)) for n, t in times.items()}
     copied = {
         f"acos, {'planes' if p else 'x, y, z last'}": both(angles, xyz_last(parts, planes=p)) for p in (True, False)
@@ -177,7 +182,7 @@ def show(results: dict[str, dict[str, Ratio]]) -> None:
     for kind, row in results.items():
         print(f"\n{kind}")
         for name, value in row.items():
-            bar = BARS.get(kind, {}).get(name)
+            bar = BARS.get(kind.rpartition(",")[0], {}).get(name)
             print(f"  {name:26}{value}" + (f"   bar {bar}" if bar else ""))
 
 
@@ -192,6 +197,7 @@ def main() -> None:
     results: dict[str, dict[str, Ratio]] = {}
     for measure in (compiled, eager, half, onnx):
         results |= measure(size, runs)
+    results |= compiled(4 * size, max(runs // 4, 3))  # out of any cache
     if torch.cuda.is_available():
         results |= gpu(4 * size, runs)
     print(f"{size} x {size}, {torch.get_num_threads()} threads, torch {torch.__version__}: median (least to most)")

@@ -21,7 +21,6 @@ import math
 import os
 import sys
 import tempfile
-import time
 from collections.abc import Callable
 from pathlib import Path
 from statistics import median
@@ -31,6 +30,7 @@ import torch
 import torch.nn.functional as F
 from baselines import BASELINES, memory_floor
 from materials import fit_materials
+from timing import both, forward, interleave
 from torch import Tensor, nn
 from truth import Directions, cosine_weighted, grazing, theory
 
@@ -129,20 +129,7 @@ def _runner(kind: str, shade: Shade, scene: list[Tensor], folder: str) -> Callab
         feeds = {i.name: t.numpy() for i, t in zip(session.get_inputs(), scene, strict=True)}
         return lambda: session.run(None, feeds)
     call = torch.compile(shade, fullgraph=True) if kind.startswith("compiled") else shade
-    if kind.endswith("forward"):
-
-        def forward() -> object:
-            with torch.no_grad():
-                return call(*scene)
-
-        return forward
-    leaves = [t.clone().requires_grad_() for t in scene]
-
-    def both() -> object:
-        out = call(*leaves)
-        return torch.autograd.grad(out, leaves, torch.ones_like(out), allow_unused=True)
-
-    return both
+    return (forward if kind.endswith("forward") else both)(call, scene)
 
 
 KINDS = ("eager forward", "eager both", "compiled forward", "compiled both", "onnx")
@@ -164,16 +151,8 @@ def measure_times(size: int) -> dict[str, dict[str, float]]:
                         calls[name] = _runner(kind, shade, small, folder), 32 * 32 / 1e6
                     continue
                 calls[name] = _runner(kind, shade, scene, folder), million
-            taken: dict[str, list[float]] = {name: [] for name in calls}
-            for run in range(RUNS + 2):
-                for name, (call, share) in calls.items():
-                    if name == "theory" and run > 3:
-                        continue
-                    begun = time.perf_counter()
-                    call()
-                    taken[name].append((time.perf_counter() - begun) * 1e3 / share)
-            for name, t in taken.items():
-                times[name][kind] = median(t[2:])
+            for name, taken in interleave({n: call for n, (call, _) in calls.items()}, RUNS).items():
+                times[name][kind] = median(taken) / calls[name][1]
     return times
 
 

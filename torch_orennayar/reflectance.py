@@ -37,8 +37,9 @@ class Model:
         name: the key in ``MODELS``.
         function: ``(ci, co, lv, albedo, roughness) -> pi f_r``, element-wise, differentiable.
         source: where the formula comes from.
-        cost: eager forward time relative to ``lambert``, as ``scripts/evaluate_reflectance.py`` prints it.
-        error: RMS error of the shading against the V-cavity theory with all bounces (same script).
+        cost: eager forward time relative to ``lambert``, as ``scripts/benchmark_shading.py`` prints it.
+        error: RMS error of the shading against the V-cavity theory with all bounces
+            (``scripts/evaluate_reflectance.py``).
         gradients: where the function has a kink.
         gradient: ``(ci, co, lv, albedo, roughness, weight) -> (pi f_r, weight times its derivatives)``, one derivative
             per argument, or None for 0; where a model has none, autograd serves.
@@ -98,7 +99,7 @@ def full(ci: Tensor, co: Tensor, lv: Tensor, rho: Tensor, sigma: Tensor) -> Tens
     x = sigma * sigma
     c_beta, c_alpha = torch.maximum(ci, co), torch.minimum(ci, co)
     sin_a, sin_b = floored_sine(c_alpha), floored_sine(c_beta)
-    alpha, beta = torch.atan2(sin_a, c_alpha), torch.atan2(sin_b, c_beta)
+    alpha, beta = (sin_a / c_alpha).atan(), (sin_b / c_beta).atan()  # acos has no slope at the normal
     s = lv - ci * co
     cos_phi = (s / (sin_a * sin_b)).clamp(-1, 1)
     back = cos_phi.clamp_max(0) * (beta * (2 / torch.pi)) ** 3 * sin_b
@@ -301,28 +302,28 @@ _KINKS = "kinks at ci = co and s = 0"
 _SLOW = "those of the quadrature"
 _KNOWN = (
     Model("lambert", lambert, "Lambert 1760", 1.0, 0.141, gradient=gradients.lambert),
-    Model("qualitative", qualitative, "Oren & Nayar 1994, eq. 30", 1.5, 0.070, _KINKS, gradients.qualitative),
+    Model("qualitative", qualitative, "Oren & Nayar 1994, eq. 30", 1.2, 0.070, _KINKS, gradients.qualitative),
     Model(
         "qualitative-0.57",
         qualitative_057,
         "Oren & Nayar 1994, remark on eq. 30",
-        1.8,
+        1.2,
         0.061,
         _KINKS,
         gradients.qualitative_057,
     ),
-    Model("fujii", fujii, "Y. Fujii 2012", 2.5, 0.035, _KINKS, gradients.fujii),
-    Model("full", full, "Oren & Nayar 1994, eqs. 27-29", 4.1, 0.036, _KINKS),
+    Model("fujii", fujii, "Y. Fujii 2012", 1.5, 0.035, _KINKS, gradients.fujii),
+    Model("full", full, "Oren & Nayar 1994, eqs. 27-29", 2.8, 0.036, _KINKS),
     Model(
         "vcavity",
         vcavity,
         "this project's rational fit to the V-cavity theory, all bounces",
-        6.5,
+        3.3,
         0.0028,
         gradient=gradients.vcavity,
     ),
-    Model("eon", eon, "Portsmouth, Kutz & Hill 2024", 3.1, 0.083, _KINKS),
-    Model("theory", theory, "Oren & Nayar 1994: the V-cavity integral, with all bounces", 28000.0, 0.00005, _SLOW),
+    Model("eon", eon, "Portsmouth, Kutz & Hill 2024", 2.1, 0.083, _KINKS),
+    Model("theory", theory, "Oren & Nayar 1994: the V-cavity integral, with all bounces", 76000.0, 0.00005, _SLOW),
 )
 _models: dict[str, Model] = {m.name: m for m in _KNOWN}
 MODELS: Mapping[str, Model] = MappingProxyType(_models)
