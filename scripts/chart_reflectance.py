@@ -30,11 +30,11 @@ import torch
 import torch.nn.functional as F
 from baselines import BASELINES, memory_floor
 from materials import fit_materials
-from timing import both, forward, interleave
+from timing import Call, both, forward, interleave
 from torch import Tensor, nn
 from truth import Directions, cosine_weighted, grazing, theory
 
-from torch_orennayar import MODELS, linear_to_srgb, oren_nayar
+from torch_orennayar import MODELS, export_onnx, linear_to_srgb, oren_nayar
 from torch_orennayar.progress import track
 from torch_orennayar.shading_graph import quiet
 
@@ -115,21 +115,29 @@ def _scene(size: int) -> list[Tensor]:
     return [normal.permute(1, 2, 0), light, view, *maps]
 
 
-def _runner(kind: str, shade: Shade, scene: list[Tensor], folder: str) -> Callable[[], object]:
-    """What is timed: a call without arguments."""
-    if kind == "onnx":
-        import onnxruntime
+def _runner(kind: str, shade: Shade, scene: list[Tensor]) -> Call:
+    """What is timed in torch: a call without arguments."""
+    call = torch.compile(shade, fullgraph=True) if kind.startswith("compiled") else shade
+    return (forward if kind.endswith("forward") else both)(call, scene)
 
-        file = Path(folder) / f"{abs(hash(shade))}.onnx"
-        with quiet():
-            torch.onnx.export(_Module(shade).eval(), tuple(scene), str(file), dynamo=True, verbose=False)
+
+def _onnx_runner(name: str, shade: Shade, scene: list[Tensor]) -> Call:
+    """A member's own graph, or a copied formula as it is traced."""
+    import onnxruntime
+
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "shading.onnx"
+        if name in MODELS:
+            export_onnx("shading", file, model=name)
+            scene = [t.movedim(-1, 0)[None] for t in scene]
+        else:
+            with quiet():
+                torch.onnx.export(_Module(shade).eval(), tuple(scene), str(file), dynamo=True, verbose=False)
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = torch.get_num_threads()
         session = onnxruntime.InferenceSession(str(file), options, providers=["CPUExecutionProvider"])
-        feeds = {i.name: t.numpy() for i, t in zip(session.get_inputs(), scene, strict=True)}
-        return lambda: session.run(None, feeds)
-    call = torch.compile(shade, fullgraph=True) if kind.startswith("compiled") else shade
-    return (forward if kind.endswith("forward") else both)(call, scene)
+    feeds = {i.name: t.contiguous().numpy() for i, t in zip(session.get_inputs(), scene, strict=True)}
+    return lambda: session.run(None, feeds)
 
 
 KINDS = ("eager forward", "eager both", "compiled forward", "compiled both", "onnx")
@@ -142,17 +150,16 @@ def measure_times(size: int) -> dict[str, dict[str, float]]:
     small = _scene(32)
     entries = shaders()
     times: dict[str, dict[str, float]] = {name: {} for name in (*entries, "floor")}
-    with tempfile.TemporaryDirectory() as folder:
-        for kind in track(KINDS, "timing"):
-            calls: dict[str, tuple[Callable[[], object], float]] = {}
-            for name, shade in (entries | ({"floor": memory_floor} if kind.startswith("compiled") else {})).items():
-                if name == "theory":
-                    if kind == "eager forward":
-                        calls[name] = _runner(kind, shade, small, folder), 32 * 32 / 1e6
-                    continue
-                calls[name] = _runner(kind, shade, scene, folder), million
-            for name, taken in interleave({n: call for n, (call, _) in calls.items()}, RUNS).items():
-                times[name][kind] = median(taken) / calls[name][1]
+    for kind in track(KINDS, "timing"):
+        floor = {"floor": memory_floor} if kind.startswith("compiled") else {}
+        timed = {n: f for n, f in (entries | floor).items() if n != "theory" or kind == "eager forward"}
+        if kind == "onnx":  # one session at a time: idle ones keep processors busy
+            taken = {n: interleave({n: _onnx_runner(n, f, scene)}, RUNS)[n] for n, f in timed.items()}
+        else:
+            calls = {n: _runner(kind, f, small if n == "theory" else scene) for n, f in timed.items()}
+            taken = interleave(calls, RUNS)
+        for name, milliseconds in taken.items():
+            times[name][kind] = median(milliseconds) / (32 * 32 / 1e6 if name == "theory" else million)
     return times
 
 
@@ -211,7 +218,7 @@ def draw_chart(data: dict[str, dict], path: Path) -> None:  # type: ignore[type-
         for name, (x, y) in points.items():
             model = data[name]["about"]["kind"] == "model"
             axis.plot(x, y, "o" if model else "x", color="#1b3a6b" if model else "#999", ms=6)
-            place = {"xytext": (6, 4)} if model else {"xytext": (6, -9)}
+            place = {"xytext": (6, 4)} if model else {"xytext": (-6, -4), "ha": "right"}
             axis.annotate(name, (x, y), **place, textcoords="offset points", fontsize=8, color="k" if model else "#777")
         axis.set(xscale="log", yscale="log", xlabel="ms per megapixel", ylabel="RMS error, all bounces")
         for ruler in (axis.xaxis, axis.yaxis):
