@@ -218,6 +218,33 @@ def test_layer_accepts_every_layout_of_lights() -> None:
     assert torch.allclose(coloured, several * power[..., None, None])
 
 
+@pytest.mark.parametrize("dtype", [torch.float64, torch.float32, torch.bfloat16, torch.float16])
+def test_layer_normalises_on_request(dtype: torch.dtype) -> None:
+    normal, lights = unit(2, 3, 4, 5, seed=1), unit(2, 7, 3, dim=2, seed=2)
+    view = F.normalize(torch.tensor([0.2, -0.1, 1.0]).double(), dim=0)
+    wanted = OrenNayar("vcavity")(normal, lights, view.to(dtype).double(), roughness=0.4)
+    length = 0.1 + 3 * torch.rand(2, 1, 4, 5, generator=torch.Generator().manual_seed(0)).double()
+    scaled, brighter = (normal * length).to(dtype), (lights * 5).to(dtype)
+    scaled[0, :, 0, 0], scaled[1, :, 0, 0] = 0, torch.nan
+    scaled.requires_grad_()
+    found = OrenNayar("vcavity", normalise=True)(scaled, brighter, 3 * view.to(dtype), roughness=0.4)
+    assert found.dtype == dtype
+    assert (found[..., 0, 0] == 0).all()
+    error = (found - wanted).abs()[..., 1:]
+    assert error.max() <= 8 * torch.finfo(dtype).eps
+    (slopes,) = torch.autograd.grad(found.sum(), scaled)
+    assert slopes.isfinite().all()
+    assert (slopes[..., 0, 0] == 0).all()
+    assert slopes.abs().max() > 0
+
+
+def test_gradients_through_normalising() -> None:
+    layer = OrenNayar("vcavity", dim=-1, normalise=True)
+    normal, light, view, albedo, roughness = facing_scene()
+    leaves = [(k * t).detach().requires_grad_() for k, t in ((2.0, normal), (0.5, light), (1.0, view))]
+    assert gradcheck(lambda *directions: layer(*directions, albedo, roughness), leaves)
+
+
 def test_layer_defaults_are_a_white_smooth_surface_seen_orthographically() -> None:
     normal = F.normalize(torch.tensor([[0.3, 0.0, 1.0]]), dim=1).reshape(1, 3, 1, 1)
     assert torch.allclose(OrenNayar()(normal, UP[None]), normal[:, 2:])

@@ -114,7 +114,7 @@ def check_unit(argument: str, vectors: Tensor, dim: int, *, gaps: bool = True) -
             argument,
             expected="unit vectors",
             got=f"length {length[wrong][0].item():.3g}",
-            mend="use torch.nn.functional.normalize; for a light's position use point_light",
+            mend="use torch.nn.functional.normalize or OrenNayar(normalise=True); point_light for a light's position",
         )
 
 

@@ -182,11 +182,24 @@ def point_light(points: Tensor, position: Tensor, intensity: Tensor | float, *, 
     here, there = (cast(t, working_dtype(dtype)).nan_to_num(0.0, 0.0, 0.0) for t in (points, position))
     known = (points.isfinite() & position.isfinite()).all(axis, keepdim=True)
     offset = (there - here) * known
-    square = (offset * offset).sum(axis, keepdim=True)
-    apart = square > 0
-    inverse = torch.where(apart, square, 1).rsqrt() * apart
+    inverse = _inverse_length(offset, axis)
     check_broadcast(axis, points=points, position=position, intensity=intensity)
     return (offset * inverse).to(dtype), (intensity * (inverse * inverse)).to(dtype)
+
+
+def _inverse_length(vectors: Tensor, axis: int) -> Tensor:
+    """1 over the length, and 0 for zero; its gradient is finite, and 0 there."""
+    square = (vectors * vectors).sum(axis, keepdim=True)
+    apart = square > 0
+    return torch.where(apart, square, 1).rsqrt() * apart
+
+
+def _normalised(vectors: Tensor, axis: int) -> Tensor:
+    """Unit vectors along ``axis``, in the dtype given; zero and non-finite ones become 0, with gradient 0."""
+    wide = cast(vectors, working_dtype(vectors.dtype))
+    known = wide.isfinite().all(axis, keepdim=True)
+    wide = torch.where(known, wide, 0.0)
+    return (wide * _inverse_length(wide, axis)).to(vectors.dtype)
 
 
 class OrenNayar(nn.Module):
@@ -197,6 +210,8 @@ class OrenNayar(nn.Module):
             any albedo and any angle. For a narrower scene pass ``simplest_model(roughness=..., ...)`` itself.
         dim: the axis of x, y, z in the normals.
         tolerance: the RMS error that ``"auto"`` may have; ``choice.reason`` says what it bought.
+        normalise: whether to bring normals, lights and views of any length to 1 first (a network's output, a map that
+            was resized); gradients go through it, and are 0 for zero vectors.
 
     Attributes:
         model: the name of the model in use.
@@ -213,17 +228,20 @@ class OrenNayar(nn.Module):
         torch.Size([2, 7, 1, 4, 5])
     """
 
-    def __init__(self, model: str = "qualitative", dim: int = 1, *, tolerance: float = 0.01) -> None:
+    def __init__(
+        self, model: str = "qualitative", dim: int = 1, *, tolerance: float = 0.01, normalise: bool = False
+    ) -> None:
         super().__init__()
         if model == "auto":
             model = simplest_model(tolerance=tolerance)
         self.choice = model if isinstance(model, ModelChoice) else None
         self.model = get_model(model).name
         self.dim = dim
+        self.normalise = normalise
 
     def extra_repr(self) -> str:
         """What ``print(layer)`` shows."""
-        return f"model={self.model!r}, dim={self.dim}"
+        return f"model={self.model!r}, dim={self.dim}" + (", normalise=True" if self.normalise else "")
 
     def forward(
         self,
@@ -278,13 +296,17 @@ class OrenNayar(nn.Module):
         def lay(name: str, value: Tensor, channels: tuple[int, ...] = (3,)) -> Tensor:
             return _lay_out(name, value, normal.ndim, axis, batch, count if several else None, channels)
 
+        def lay_direction(name: str, value: Tensor) -> Tensor:
+            laid = lay(name, value)
+            return _normalised(laid, axis - normal.ndim) if self.normalise else laid
+
         def lay_number(name: str, value: Tensor | float, channels: tuple[int, ...] = (1, 3)) -> Tensor | float:
             return lay(name, value, channels) if isinstance(value, Tensor) else value
 
         return oren_nayar(
-            lay("normal", normal),
-            lay("light", light),
-            lay("view", view),
+            lay_direction("normal", normal),
+            lay_direction("light", light),
+            lay_direction("view", view),
             lay_number("albedo", 1.0 if albedo is None else albedo),
             lay_number("roughness", 0.0 if roughness is None else roughness, (1,)),
             model=self.model,
