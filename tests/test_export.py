@@ -8,8 +8,18 @@ import pytest
 import torch
 import torch.nn.functional as F
 
-from torch_orennayar import MODELS, ExportError, ModelError, export, export_onnx, oren_nayar, shading_graph
+from torch_orennayar import (
+    MODELS,
+    ExportError,
+    ModelError,
+    export,
+    export_onnx,
+    oren_nayar,
+    register_model,
+    shading_graph,
+)
 from torch_orennayar.export import describe_onnx
+from torch_orennayar.reflectance import ModelFunction, _models
 
 
 def run(path: Path, **feeds: torch.Tensor) -> torch.Tensor:
@@ -44,6 +54,41 @@ def test_bands_of_rows_are_the_whole_whatever_broadcasts(
         assert answers[0].shape == wanted.shape
         assert (answers[0] - wanted).abs().max() <= 1e-5
         assert all(torch.equal(a, answers[0]) for a in answers)
+
+
+def test_maps_that_do_not_fit_fail_and_empty_pictures_do_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(shading_graph, "BAND", 10 * 4)
+    path = export_onnx("shading", tmp_path / "graph.onnx", model="vcavity")
+    per_pixel = export_onnx("shading", tmp_path / "maps.onnx", model="vcavity", per_pixel_directions=True)
+    assert capfd.readouterr().err == ""  # the runtime has nothing to warn of
+    one = torch.tensor([0.0, 0, 1]).reshape(1, 3, 1, 1)
+    normal = one.repeat(1, 1, 41, 4)
+    for height in (4, 10, 11, 20, 21, 40, 42):
+        albedo = torch.rand(1, 1, height, 4)
+        for file in (path, per_pixel):
+            with pytest.raises(Exception, match="ONNXRuntimeError"):
+                run(file, normal=normal, light=one, view=one, albedo=albedo, roughness=one[:, :1])
+    for shape in ((0, 3, 41, 4), (1, 3, 0, 4), (1, 3, 41, 0)):
+        for file in (path, per_pixel) if shape[0] else (per_pixel,):  # no product of matrices has an empty batch
+            empty = run(file, normal=torch.zeros(shape), light=one, view=one, albedo=one[:, :1], roughness=one[:, :1])
+            assert empty.shape == (shape[0], 1, *shape[2:])
+
+
+def test_models_of_users_export_with_the_rounding_that_they_have(tmp_path: Path) -> None:
+    formulas: dict[str, ModelFunction] = {
+        "by acos": lambda ci, co, lv, rho, sigma: rho * ci.acos(),
+        "bright": lambda ci, co, lv, rho, sigma: 50 * rho * (ci * co) ** sigma,
+        "no albedo": lambda ci, co, lv, rho, sigma: ci * co,
+        "albedo alone": lambda ci, co, lv, rho, sigma: rho * 1.0,
+    }
+    for name, formula in formulas.items():
+        try:
+            register_model(name, formula)
+            assert export_onnx("shading", tmp_path / f"{name}.onnx", model=name).exists()
+        finally:
+            _models.pop(name, None)
 
 
 @pytest.mark.parametrize("model", list(MODELS)[:7])

@@ -526,6 +526,14 @@ def test_point_light_gradients() -> None:
         ({"irradiance": -1.0}, RangeError, "irradiance"),
         ({"irradiance": torch.ones(1, 1, 3, 3)}, ShapeError, "irradiance"),
         ({"dim": 7}, ShapeError, "dim"),
+        ({"dim": None}, ShapeError, "dim"),
+        ({"albedo": [0.5, 0.6, 0.7]}, ShapeError, "albedo"),
+        ({"roughness": "rough"}, ShapeError, "roughness"),
+        ({"albedo": torch.ones(1, 1, 1, 1, dtype=torch.complex64)}, ShapeError, "albedo"),
+        ({"albedo": torch.zeros(1, 0, 1, 1)}, ShapeError, "channel"),
+        ({"model": ["vcavity"]}, ModelError, "vcavity"),
+        ({"light": torch.zeros(1, 3, 1, 1)}, RangeError, "light"),
+        ({"view": torch.full((1, 3, 1, 1), torch.nan)}, RangeError, "view"),
     ],
 )
 def test_bad_input_names_argument_and_mend(change: dict[str, object], error: type[Exception], words: str) -> None:
@@ -572,6 +580,30 @@ def test_layer_does_not_misread_plausible_calls(arguments: dict[str, Tensor]) ->
     scene: dict[str, Tensor] = {"normal": unit(2, 3, 4, 5).float(), "light": unit(2, 7, 3, dim=2).float()}
     with pytest.raises(ShapeError):
         OrenNayar()(**(scene | arguments))
+
+
+@pytest.mark.parametrize("size", [(90, 90), (256, 256), (480, 640), (1080, 1920)])
+def test_what_repeats_every_second_pixel_does_not_hide(size: tuple[int, int]) -> None:
+    for wrong in (slice(0, None, 2), slice(1, None, 2)):
+        normal = UP.reshape(1, 3, 1, 1).repeat(1, 1, *size)
+        normal[..., wrong] *= 0.5
+        with pytest.raises(RangeError, match="normal"):
+            oren_nayar(normal, *(UP.reshape(1, 3, 1, 1),) * 2, 0.5, 0.3)
+
+
+@pytest.mark.parametrize("normalise", [False, True])
+def test_layer_refuses_lights_that_point_nowhere(normalise: bool) -> None:
+    normal = unit(2, 3, 4, 5).float()
+    for light in (torch.zeros(2, 3), torch.full((3,), torch.nan), torch.tensor([[[0.0, 0, 1]], [[0.0, 0, 0]]])):
+        with pytest.raises(RangeError, match="light"):
+            OrenNayar(normalise=normalise)(normal, light)
+
+
+def test_layer_normalises_any_length() -> None:
+    normal, light = unit(2, 3, 4, 5).float(), unit(2, 3).float()
+    wanted = OrenNayar("vcavity")(normal, light, roughness=0.4)
+    found = OrenNayar("vcavity", normalise=True)(normal * 1e-25, light * 1e25, roughness=0.4)
+    assert torch.allclose(found, wanted, atol=1e-6)
 
 
 def test_layer_refuses_layouts_it_does_not_know() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from numbers import Real
 
 import torch
 from torch import Tensor
@@ -61,6 +62,10 @@ def check_channels(axis_from_end: int, **values: Tensor | float) -> None:
                     mend="reshape it so that it broadcasts, e.g. albedo.reshape(1, 3, 1, 1)",
                 )
             counts[name] = value.shape[axis_from_end]
+            if checking() and counts[name] == 0:
+                raise ShapeError(
+                    name, expected="channels", got=f"shape {tuple(value.shape)}", mend="give it at least 1"
+                )
     if checking() and len(set(counts.values()) - {1}) > 1:  # comparing sizes would fix them in a graph
         raise ShapeError(
             ", ".join(counts),
@@ -123,9 +128,23 @@ def _spread(vectors: Tensor, axis: int) -> Tensor:
     axes = sorted((d for d in range(vectors.ndim) if d != axis), key=lambda d: vectors.shape[d])
     for k, d in enumerate(axes):  # the shortest first: what they cannot spare the longer ones give
         excess = vectors.numel() / vectors.shape[axis] / LOOKED_AT
-        step = min(vectors.shape[d], math.ceil(max(excess, 1) ** (1 / (len(axes) - k))))
+        # Odd, so that what repeats every second pixel does not hide.
+        step = min(vectors.shape[d], math.ceil(max(excess, 1) ** (1 / (len(axes) - k))) | 1)
         vectors = vectors[(slice(None),) * d + (slice(step // 2, None, step),)]
     return vectors
+
+
+def check_numbers(**values: object) -> None:
+    """All values are real tensors or real numbers."""
+    for argument, value in values.items():
+        if isinstance(value, Real) or (isinstance(value, Tensor) and not value.is_complex()):
+            continue
+        raise ShapeError(
+            argument,
+            expected="a number or a tensor of real numbers",
+            got=str(value.dtype) if isinstance(value, Tensor) else type(value).__name__,
+            mend="use torch.as_tensor(..., dtype=torch.float32)",
+        )
 
 
 def check_floating(**values: object) -> None:

@@ -176,7 +176,7 @@ def export(
     check_output(path.parent)
     say("exporting and verifying")
     export_onnx(graph, path, model=model, per_pixel_directions=per_pixel_directions)
-    out.print(f"{path}: {path.stat().st_size / 1000:.0f} kB, equal to torch at seven sizes", markup=False)
+    out.print(f"{path}: {path.stat().st_size / 1000:.0f} kB, equal to torch at every size tried", markup=False)
 
 
 @app.command()

@@ -225,5 +225,6 @@ def _surface(folder: Path, found: Reconstruction, scene: Scene) -> Section:
 
 def _graph(folder: Path) -> Section:
     path = export_onnx("shading", folder / "shading.onnx", model="vcavity")
-    text = (f"shading.onnx ({path.stat().st_size / 1000:.0f} kB) gave torch's values in ONNX Runtime at five sizes.",)
+    size = f"{path.stat().st_size / 1000:.0f} kB"
+    text = (f"shading.onnx ({size}) gave torch's values in ONNX Runtime at every size tried.",)
     return Section("The ONNX graph", text)

@@ -40,7 +40,7 @@ def shade(model: Model, scene: Scene, axis: int, dtype: torch.dtype) -> Tensor:
     tensors = [t for t in scene if t is not None]
     differentiate = torch.is_grad_enabled() and any(t.requires_grad for t in tensors)
     if torch.compiler.is_compiling():
-        by_hand = model.gradient is not None and not torch.compiler.is_exporting()
+        by_hand = model.derivatives is not None and not torch.compiler.is_exporting()
         in_tiles = differentiate and by_hand and not _transformed(tensors)
     else:
         traced = torch.jit.is_tracing()  # type: ignore[attr-defined, no-untyped-call]
@@ -56,7 +56,10 @@ def shade_whole(model: Model, scene: Scene, axis: int, dtype: torch.dtype) -> Te
     value, ci, facing = evaluate(model.function, scene[:5], axis, working_dtype(dtype))
     shading = value * ci
     if scene[5] is not None:
-        shading = shading * cast(scene[5], working_dtype(dtype))
+        irradiance = cast(scene[5], working_dtype(dtype))
+        if irradiance.requires_grad or shading.requires_grad or _transformed((irradiance, shading)):
+            irradiance = torch.where(facing, irradiance, 0.0)
+        shading = shading * irradiance
     return torch.where(facing, shading, 0.0).to(dtype)
 
 
@@ -75,9 +78,15 @@ def evaluate(function: ModelFunction, scene: Scene, axis: int, dtype: torch.dtyp
 
 
 def above_horizon(function: ModelFunction, ci: Tensor, co: Tensor, lv: Tensor, rho: Tensor, sigma: Tensor) -> Tensor:
-    """``function`` with its cosines kept positive."""
+    """``function`` with its cosines kept positive, in the shape of all its arguments, whichever it uses."""
     least = floor_of(ci.dtype)
-    return function(ci.clamp_min(least), co.clamp_min(least), lv, rho, sigma)
+    arguments = ci.clamp_min(least), co.clamp_min(least), lv, rho, sigma
+    return _expanded(function(*arguments), arguments)
+
+
+def _expanded(value: Tensor, arguments: Sequence[Tensor]) -> Tensor:
+    shape = torch.broadcast_shapes(*(t.shape for t in arguments))
+    return value if value.shape == shape else value.expand(shape)
 
 
 class _Shade(torch.autograd.Function):
@@ -99,7 +108,23 @@ class _Shade(torch.autograd.Function):
             with torch.enable_grad():
                 result = shade_whole(ctx.model, scene, ctx.axis, ctx.dtype)
             wanted = [t for t, wants in zip(scene, needed, strict=True) if wants]
-            slopes = iter(torch.autograd.grad(result, wanted, gradient, create_graph=torch.is_grad_enabled()))
+            if not result.requires_grad:  # a model of constants
+                return (
+                    None,
+                    None,
+                    None,
+                    *(torch.zeros_like(t) if w else None for t, w in zip(scene, needed, strict=True)),
+                )
+            slopes = iter(
+                torch.autograd.grad(
+                    result,
+                    wanted,
+                    gradient,
+                    create_graph=torch.is_grad_enabled(),
+                    allow_unused=True,
+                    materialize_grads=True,
+                )
+            )
             found = [next(slopes) if wants else None for wants in needed]
         else:
             found = _backward(ctx.model, scene, ctx.axis, gradient, needed)
@@ -144,8 +169,9 @@ def _backward(model: Model, scene: Scene, axis: int, gradient: Tensor, needed: S
     ]
     for index in _tiles(shape, axis, gradient.device):
         arguments = model, [_cut(t, index) for t in scene], axis, gradient[index], needed
-        parts = _backward_tile(*arguments, exact=gradient.device.type != "cpu")
-        if gradient.device.type == "cpu" and not _all_finite(parts):
+        exact = gradient.device.type != "cpu" or torch.is_anomaly_enabled()
+        parts = _backward_tile(*arguments, exact=exact)
+        if not exact and not _all_finite(parts):
             parts = _backward_tile(*arguments, exact=True)
         for total, part, alone in zip(totals, parts, own, strict=True):
             if total is not None and part is not None:
@@ -172,6 +198,7 @@ def _backward_tile(
             torch.where(facing, t, 0.0) if torch.broadcast_shapes(facing.shape, t.shape) == t.shape else _finite(t)
             for t in (n, l, v, rho, sigma)
         )
+        irradiance = None if irradiance is None else torch.where(facing, irradiance, 0.0)
     else:
         lit, ci, co, mask = _lit(ci, co)
         arriving = arriving * mask
@@ -192,7 +219,7 @@ def _backward_tile(
         _gather(((by_co, n), (by_lv, l)), v, axis) if needed[2] else None,
         by_rho,
         by_sigma,
-        (value * alone).sum_to_size(irradiance.shape) if needed[5] else None,
+        (value * alone).sum_to_size(scene[5].shape) if needed[5] else None,
     ]
     return [
         (torch.zeros_like(t, dtype=dtype) if p is None else p) if wanted else None
@@ -204,11 +231,13 @@ def pull(
     model: Model, arguments: tuple[Tensor, Tensor, Tensor, Tensor, Tensor], weight: Tensor
 ) -> tuple[Tensor, tuple[Tensor | None, ...]]:
     """A model's value and ``weight`` times its derivatives, by hand where it has them so."""
-    if model.gradient is not None:
-        return model.gradient(*arguments, weight)
+    if model.derivatives is not None:
+        return model.derivatives(*arguments, weight)
     with torch.enable_grad():
         leaves = [t.detach().requires_grad_() for t in arguments]
-        value = model.function(*leaves)
+        value = _expanded(model.function(*leaves), leaves)
+        if not value.requires_grad:  # a constant
+            return value, (None,) * 5
         return value.detach(), torch.autograd.grad(value, leaves, weight, allow_unused=True)
 
 
@@ -227,8 +256,9 @@ def _gather(pairs: Sequence[tuple[Tensor | None, Tensor]], like: Tensor, axis: i
 
 def _transformed(tensors: Sequence[Tensor]) -> bool:
     """Whether a function transform (``vmap``, ``jacrev``), a vectorised Jacobian or forward mode is at work."""
-    if torch.compiler.is_compiling() or torch._C._are_functorch_transforms_active():
-        return torch._C._are_functorch_transforms_active()
+    functorch: bool = torch._C._are_functorch_transforms_active()
+    if functorch or torch.compiler.is_compiling():
+        return functorch
     known = [t for t in tensors if t is not None]
     batched = torch._C._functorch.is_legacy_batchedtensor  # autograd.functional's own vmap
     return any(batched(t) or forward_ad.unpack_dual(t).tangent is not None for t in known)
@@ -310,9 +340,12 @@ def facing_both(ci: Tensor, co: Tensor) -> Tensor:
 
 
 def _lit(ci: Tensor, co: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """``ci`` or 0 where the surface faces away; ``ci`` and ``co``, or 1; 1 or 0. All by arithmetic."""
+    """``ci`` or 0 where the surface faces away; ``ci`` and ``co``, or 1; 1 or 0. All by arithmetic.
+
+    Where `facing_both` turns infinite cosines away, the first is NaN.
+    """
     mask = torch.minimum(ci, co).sign().relu()
-    lit, away = ci * mask, (1 - mask).clamp_min(floor_of(ci.dtype))
+    lit, away = torch.add(ci, co, alpha=0.0) * mask, (1 - mask).clamp_min(floor_of(ci.dtype))
     return lit, torch.maximum(lit, away), torch.maximum(co * mask, away), mask
 
 

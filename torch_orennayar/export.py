@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
 from collections.abc import Iterator
@@ -34,7 +33,7 @@ def export_onnx(
 
     ``"shading"`` takes ``normal`` (B, 3, H, W), ``light`` and ``view`` (B, 3, 1, 1), or (B, 3, H, W) with
     ``per_pixel_directions``, ``albedo`` (B, C, H, W) and ``roughness`` (B, 1, H, W) and returns
-    ``shading`` (B, C, H, W). B, C, H, W are dynamic, and each input may have 1 where it is constant. All
+    ``shading`` (B, C, H, W). B >= 1, C, H, W are dynamic, and each input may have 1 where it is constant. All
     float32, linear light, roughness in radians; opset 18. Meaning and units are in the file's metadata.
 
     Args:
@@ -154,7 +153,7 @@ def _describe(graph: onnx.ModelProto, model: str) -> None:
             "directions": "unit, away from the surface: light to the source, view to the camera",
             "roughness": "standard deviation of the facet slope angle, radians, 0 to pi/2",
             "shading": "pi f_r max(0, n.l), linear light; a white Lambertian pixel facing the light is 1",
-            "axes": json.dumps("every axis of size 1 broadcasts"),
+            "axes": "every axis of size 1 broadcasts",
         },
     )
     graph.producer_name = "torch_orennayar"
@@ -172,15 +171,18 @@ def _verify(file: Path, model: str, trials: list[tuple[Tensor, ...]]) -> None:
         for trial in trials:
             feeds = {name: value.numpy() for name, value in zip(INPUTS, trial, strict=True)}
             (answer,) = session.run(None, feeds)
-            wanted = oren_nayar(*trial, model=model)
+            wanted = oren_nayar(*(t.double() for t in trial), model=model)
             shape = tuple(wanted.shape)
-            difference = (torch.from_numpy(answer) - wanted).abs().max().item() if answer.shape == shape else math.inf
-            if not difference <= TOLERANCE:
+            # What float32 itself costs a formula shows in torch: a runtime may round as far in other places.
+            rounding = (oren_nayar(*trial, model=model) - wanted).abs().max().item()
+            allowed = TOLERANCE * (1 + wanted.abs()) + 4 * rounding
+            difference = (torch.from_numpy(answer) - wanted).abs() if answer.shape == shape else allowed + math.inf
+            if not bool((difference <= allowed).all()):
                 raise ExportError(
                     "graph",
-                    expected=f"torch's values within {TOLERANCE:g} at size {shape}",
-                    got=f"shape {answer.shape}, difference {difference:g}",
-                    mend="report this with the versions that `orennayar info` prints",
+                    expected=f"torch's values within {TOLERANCE:g} and rounding at size {shape}",
+                    got=f"shape {answer.shape}, difference {difference.max().item():g}",
+                    mend="if the model is your own, look for steps that lose float32's digits; otherwise report it",
                 )
     except ExportError:
         raise

@@ -2,7 +2,7 @@
 
 Each function takes a model's arguments and ``weight``, the gradient that arrives at its value, and returns the value
 and what goes on to each argument: weight times the derivative, not yet summed over broadcast axes, None for 0. They are
-what the layer's backward runs on (`tiles`); the formulas themselves are in `reflectance`, and
+what the layer's backward runs on (`evaluation`); the formulas themselves are in `reflectance`, and
 ``tests/test_gradients.py`` holds one against the other. Where a formula has a kink, both sides count alike:
 
 - light and view at one angle from the normal (``ci = co``): the mean of both sides;

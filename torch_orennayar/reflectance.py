@@ -26,7 +26,7 @@ from .errors import ModelError
 from .theory import floored_sine, theory
 
 ModelFunction = Callable[[Tensor, Tensor, Tensor, Tensor, Tensor], Tensor]
-ModelGradient = Callable[[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor], tuple[Tensor, gradients.Partials]]
+ModelDerivatives = Callable[[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor], tuple[Tensor, gradients.Partials]]
 
 
 @dataclass(frozen=True)
@@ -41,8 +41,8 @@ class Model:
         error: RMS error of the shading against the V-cavity theory with all bounces
             (``scripts/evaluate_reflectance.py``).
         gradients: where the function has a kink.
-        gradient: ``(ci, co, lv, albedo, roughness, weight) -> (pi f_r, weight times its derivatives)``, one derivative
-            per argument, or None for 0; where a model has none, autograd serves.
+        derivatives: ``(ci, co, lv, albedo, roughness, weight) -> (pi f_r, weight times its derivatives)``, one
+            derivative per argument, or None for 0; where a model has no such function, autograd serves.
     """
 
     name: str
@@ -51,7 +51,7 @@ class Model:
     cost: float | None = None
     error: float | None = None
     gradients: str = "smooth"
-    gradient: ModelGradient | None = None
+    derivatives: ModelDerivatives | None = None
 
 
 def lambert(ci: Tensor, co: Tensor, lv: Tensor, rho: Tensor, sigma: Tensor) -> Tensor:
@@ -237,7 +237,7 @@ def register_model(
     cost: float | None = None,
     error: float | None = None,
     gradients: str = "not stated",
-    gradient: ModelGradient | None = None,
+    derivatives: ModelDerivatives | None = None,
 ) -> Model:
     """Add a diffuse model under ``name``; it works at once in the layer, the solvers and the export.
 
@@ -250,13 +250,14 @@ def register_model(
         cost: time relative to ``lambert``, if measured.
         error: RMS error against the theory, if measured.
         gradients: where the function has kinks.
-        gradient: its derivatives by hand, as `Model` describes; default: by autograd, which is slower.
+        derivatives: by hand, as `Model` describes; default: by autograd, which is slower.
 
     Returns:
         The registered `Model`.
 
     Raises:
-        ModelError: the name is taken, or the function fails on, or does not broadcast over, a trial.
+        ModelError: the name is taken, the function fails on, or does not broadcast over, a trial, or its derivatives
+            are not those of autograd there.
 
     Example:
         >>> import torch_orennayar as ton
@@ -284,14 +285,46 @@ def register_model(
             got=f"shape {tuple(result.shape)}" if isinstance(result, Tensor) else type(result).__name__,
             mend="return pi f_r, element by element",
         )
-    model = Model(name, function, source, cost, error, gradients, gradient)
+    model = Model(name, function, source, cost, error, gradients, derivatives)
+    if derivatives is not None:
+        _check_derivatives(function, derivatives)
     _models[name] = model
     return model
 
 
+def _check_derivatives(function: ModelFunction, derivatives: ModelDerivatives) -> None:
+    """Derivatives by hand are autograd's on a trial away from the usual kinks."""
+    rows = ((0.3, 0.6, 0.9), (0.8, 0.5, 0.7), (0.5, 0.9, 0.4), (0.3, 0.5, 0.7), (0.4, 0.2, 0.9), (1.0, -2.0, 0.5))
+    ci, co, lv, rho, sigma, weight = (torch.tensor(row, dtype=torch.float64) for row in rows)
+    arguments = ci, co, lv, rho, sigma
+    with torch.enable_grad():
+        leaves = [t.clone().requires_grad_() for t in arguments]
+        value = function(*leaves).expand(3)
+    parts = torch.autograd.grad(value, leaves, weight, allow_unused=True) if value.requires_grad else [None] * 5
+    wanted = [value, *(torch.zeros(3) if p is None else p for p in parts)]
+    try:
+        found_value, found_parts = derivatives(*arguments, weight)
+        found = [found_value, *(torch.zeros(3) if p is None else p for p in found_parts)]
+        differ = [
+            k for k, (a, b) in enumerate(zip(found, wanted, strict=True)) if not torch.allclose(a.double(), b.double())
+        ]
+    except Exception as error:
+        got = f"{type(error).__name__}: {error}"
+    else:
+        names = ("the value", "ci", "co", "lv", "albedo", "roughness")
+        got = "another result for " + ", ".join(names[k] for k in differ) if differ else ""
+    if got:
+        raise ModelError(
+            "derivatives",
+            expected="pi f_r and weight times its five derivatives, in the weight's shape, as autograd finds them",
+            got=got,
+            mend="return (value, (by_ci, by_co, by_lv, by_albedo, by_roughness)), or leave it out",
+        )
+
+
 def get_model(name: str) -> Model:
     """The model called ``name``; a `ModelError` that lists the names where there is none."""
-    if name not in _models:
+    if not isinstance(name, str) or name not in _models:
         raise ModelError(
             "model", expected=f"one of {', '.join(_models)}", got=repr(name), mend="or add it with register_model"
         )
@@ -301,7 +334,7 @@ def get_model(name: str) -> Model:
 _KINKS = "kinks at ci = co and s = 0"
 _SLOW = "those of the quadrature"
 _KNOWN = (
-    Model("lambert", lambert, "Lambert 1760", 1.0, 0.141, gradient=gradients.lambert),
+    Model("lambert", lambert, "Lambert 1760", 1.0, 0.141, derivatives=gradients.lambert),
     Model("qualitative", qualitative, "Oren & Nayar 1994, eq. 30", 1.2, 0.070, _KINKS, gradients.qualitative),
     Model(
         "qualitative-0.57",
@@ -320,7 +353,7 @@ _KNOWN = (
         "this project's rational fit to the V-cavity theory, all bounces",
         3.3,
         0.0028,
-        gradient=gradients.vcavity,
+        derivatives=gradients.vcavity,
     ),
     Model("eon", eon, "Portsmouth, Kutz & Hill 2024", 2.1, 0.083, _KINKS),
     Model("theory", theory, "Oren & Nayar 1994: the V-cavity integral, with all bounces", 76000.0, 0.00005, _SLOW),

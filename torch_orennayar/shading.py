@@ -11,7 +11,7 @@ import math
 import torch
 from torch import Tensor, nn
 
-from ._checks import check_axis, check_broadcast, check_channels, check_floating, check_range, check_unit
+from ._checks import check_axis, check_broadcast, check_channels, check_floating, check_numbers, check_range, check_unit
 from .choice import ModelChoice, simplest_model
 from .errors import ShapeError
 from .evaluation import Scene, cast, evaluate, shade, working_dtype
@@ -54,8 +54,8 @@ def oren_nayar(
     Raises:
         ShapeError: an argument lacks its 3 (or 1) along ``dim``, or shapes do not broadcast.
         RangeError: negative or NaN albedo or roughness, roughness above pi/2 (degrees given for
-            radians?), or directions given by hand that are no unit vectors. Not checked inside
-            ``torch.compile``, export and ``vmap``.
+            radians?), or directions that are no unit vectors; of a map, vectors spread over it are looked at, and
+            zero or non-finite ones are gaps. Not checked inside ``torch.compile``, export and ``vmap``.
         ModelError: unknown ``model``.
 
     Source:
@@ -199,6 +199,9 @@ def _normalised(vectors: Tensor, axis: int) -> Tensor:
     wide = cast(vectors, working_dtype(vectors.dtype))
     known = wide.isfinite().all(axis, keepdim=True)
     wide = torch.where(known, wide, 0.0)
+    # Whatever the scale, so that no square over- or underflows; the result does not depend on it.
+    largest = wide.detach().abs().amax(axis, keepdim=True)
+    wide = wide / torch.where(largest > 0, largest, 1.0)
     return (wide * _inverse_length(wide, axis)).to(vectors.dtype)
 
 
@@ -298,7 +301,10 @@ class OrenNayar(nn.Module):
 
         def lay_direction(name: str, value: Tensor) -> Tensor:
             laid = lay(name, value)
-            return _normalised(laid, axis - normal.ndim) if self.normalise else laid
+            laid = _normalised(laid, axis - normal.ndim) if self.normalise else laid
+            if value.ndim < normal.ndim:  # not a map, which may have gaps
+                check_unit(name, laid, axis - normal.ndim, gaps=False)
+            return laid
 
         def lay_number(name: str, value: Tensor | float, channels: tuple[int, ...] = (1, 3)) -> Tensor | float:
             return lay(name, value, channels) if isinstance(value, Tensor) else value
@@ -349,7 +355,7 @@ def _lay_out(
 def _axis_from_end(dim: int, *tensors: Tensor) -> int:
     """``dim`` of the broadcast shape, counted from its end, where it means the same for every tensor."""
     ndim = max(t.ndim for t in tensors)
-    if not -ndim <= dim < ndim:
+    if not isinstance(dim, int) or not -ndim <= dim < ndim:
         raise ShapeError("dim", expected=f"an axis of {ndim}-axis tensors", got=str(dim), mend="see the shapes")
     return dim if dim < 0 else dim - ndim
 
@@ -388,11 +394,12 @@ def _lay_scene(
 ) -> tuple[Scene, int, torch.dtype]:
     """The arguments checked, as tensors of one number of axes; the axis of x, y, z from the end; the result's dtype."""
     check_floating(normal=normal, light=light, view=view)
+    check_numbers(albedo=albedo, roughness=roughness, **({} if irradiance is None else {"irradiance": irradiance}))
     tensors = [t for t in (normal, light, view, albedo, roughness, irradiance) if isinstance(t, Tensor)]
     axis = _axis_from_end(dim, *tensors)
     for name, vectors in (("normal", normal), ("light", light), ("view", view)):
         check_axis(name, vectors, axis, (3,))
-        check_unit(name, vectors, axis)
+        check_unit(name, vectors, axis, gaps=name == "normal" or vectors.numel() > 3)
     if isinstance(roughness, Tensor) and roughness.ndim > 0:
         check_axis("roughness", roughness, axis, (1,))
     scale: dict[str, Tensor | float] = {} if irradiance is None else {"irradiance": irradiance}
@@ -403,5 +410,7 @@ def _lay_scene(
         check_range("irradiance", irradiance, 0.0, math.inf, "irradiance is never negative or infinite")
         parts[-1] = irradiance if isinstance(irradiance, Tensor) else normal.new_tensor(irradiance)
     ndim = max(t.ndim for t in tensors)
+    # A number in a tensor may lie on the processor beside maps on an accelerator, as everywhere in torch.
+    parts = [t.to(normal.device) if t is not None and t.ndim == 0 else t for t in parts]
     scene = [None if t is None else t.reshape((1,) * (ndim - t.ndim) + tuple(t.shape)) for t in parts]
     return scene, axis, _result_dtype(*tensors)

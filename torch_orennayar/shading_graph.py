@@ -63,19 +63,23 @@ def shading_graph(model: str, *, per_pixel: bool) -> onnx.ModelProto:
     from onnx import helper
 
     formula = _trace(get_model(model).function).graph
-    constants = {"zero": [0], "one": [1], "two": [2], "three": [3], "four": [4], "minus_one": [-1], "band_size": [BAND]}
-    constants |= {"row_of_3": [-1, 1, 3], "planes_of_3": [0, 3, -1]}
+    constants = {"zero": [0], "one": [1], "two": [2], "three": [3], "four": [4], "band_size": [BAND]}
     add = _Nodes("")
-
-    picture = add("Concat", "minus_one", "one", add("Shape", "normal", start=2), axis=0)  # (B, 1, H, W)
 
     def cosine(a: str, b: str) -> str:
         return add("ReduceSum", add("Mul", a, b), "one", keepdims=1)
 
     def cosine_of_one(direction: str) -> str:
-        """(B, 1, 3) times (B, 3, H W)."""
-        product = add("MatMul", add("Reshape", direction, "row_of_3"), add("Reshape", "normal", "planes_of_3"))
-        return add("Reshape", product, picture)
+        """(B, 1, 3) times (B, 3, H W), as (B, 1, H, W)."""
+        area = add("Shape", "normal", start=2)
+        pixels = add("Mul", add("Slice", area, "zero", "one", "zero"), add("Slice", area, "one", "two", "zero"))
+        planes = reshape("normal", add("Shape", "normal", end=2), pixels)
+        product = add("MatMul", reshape(direction, add("Shape", direction, end=1), "one", "three"), planes)
+        return reshape(product, add("Shape", product, end=2), area)
+
+    def reshape(value: str, *sizes: str) -> str:
+        # The maximum keeps ONNX Runtime from guessing a size by -1, which fails where another one is 0.
+        return add("Reshape", value, add("Max", add("Concat", *sizes, axis=0), "zero"), allowzero=1)
 
     maps = {"albedo": "albedo", "roughness": "roughness", "lv": cosine("light", "view")}
     for name, direction in (("ci", "light"), ("co", "view")):
@@ -84,10 +88,14 @@ def shading_graph(model: str, *, per_pixel: bool) -> onnx.ModelProto:
     # Bands: as many rows as make BAND elements of the broadcast picture.
     heights = {n: add("Shape", value, start=2, end=3) for n, value in maps.items()}
     sizes = add("Max", *(add("Shape", value) for value in maps.values()))
-    height = add("Slice", sizes, "two", "three", "zero")
     row = add("Mul", add("Slice", sizes, "zero", "one", "zero"), add("Slice", sizes, "three", "four", "zero"))
-    rows = add("Max", add("Div", "band_size", row), "one")
-    bands = add("Squeeze", add("Div", add("Sub", add("Add", height, rows), "one"), rows), "zero")
+    rows = add("Max", add("Div", "band_size", add("Max", row, "one")), "one")
+    # One column of each map: their sum fails where heights do not fit, which a cut into bands would hide.
+    planes = [add("Slice", value, "zero", "one", "one") for value in maps.values()]
+    columns = [add("Slice", plane, "zero", "one", "three") for plane in planes]
+    height = add("Shape", add("Sum", *columns), start=2, end=3)
+    every_row = add("Div", add("Sub", add("Add", height, rows), "one"), rows)
+    bands = add("Squeeze", add("Max", every_row, "one"), "zero")
     lasts = {n: add("Sub", value, "one") for n, value in heights.items()}
 
     # The body: cut every map, run the formula, keep the band. A map of one row is the same in every band.
@@ -123,7 +131,8 @@ def shading_graph(model: str, *, per_pixel: bool) -> onnx.ModelProto:
     all_bands = add("Loop", bands, "", add("SequenceEmpty"), body=body)
     add.nodes.append(helper.make_node("ConcatFromSequence", [all_bands], ["shading"], axis=2))
 
-    initializers = [onnx.numpy_helper.from_array(torch.tensor(v).numpy(), n) for n, v in constants.items()]
+    used = {name for node in (*add.nodes, *inner.nodes) for name in node.input}
+    initializers = [onnx.numpy_helper.from_array(torch.tensor(v).numpy(), n) for n, v in constants.items() if n in used]
     for value in formula.initializer:
         value.name = f"formula_{value.name}"
         initializers.append(value)

@@ -64,7 +64,8 @@ def floored_sine(cosine: Tensor) -> Tensor:
 def gauss_legendre(count: int) -> tuple[Tensor, Tensor]:
     """Gauss-Legendre nodes and weights on [0, 1]."""
     node, weight = np.polynomial.legendre.leggauss(count)
-    return torch.from_numpy((node + 1) / 2), torch.from_numpy(weight / 2)
+    with torch.inference_mode(False):  # the cache outlives the mode
+        return torch.from_numpy((node + 1) / 2), torch.from_numpy(weight / 2)
 
 
 @cache
@@ -79,7 +80,8 @@ def _legendre(modes: int) -> tuple[Tensor, Tensor]:
         whole = np.concatenate(([0.0], coefficients / np.arange(1, k + 2)))
         integrals[k, : k + 2] = -whole
         integrals[k, 0] += whole.sum()
-    return torch.from_numpy(rows), torch.from_numpy(integrals)
+    with torch.inference_mode(False):
+        return torch.from_numpy(rows), torch.from_numpy(integrals)
 
 
 def _exchange(slope: Tensor) -> Tensor:
