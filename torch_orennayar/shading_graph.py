@@ -91,8 +91,8 @@ def shading_graph(model: str, *, per_pixel: bool) -> onnx.ModelProto:
     row = add("Mul", add("Slice", sizes, "zero", "one", "zero"), add("Slice", sizes, "three", "four", "zero"))
     rows = add("Max", add("Div", "band_size", add("Max", row, "one")), "one")
     # One column of each map: their sum fails where heights do not fit, which a cut into bands would hide.
-    planes = [add("Slice", value, "zero", "one", "one") for value in maps.values()]
-    columns = [add("Slice", plane, "zero", "one", "three") for plane in planes]
+    columns = [add("Slice", value, "zero", "one", "three") for value in maps.values()]
+    columns = [add("Slice", column, "zero", "one", "one") for column in columns]
     height = add("Shape", add("Sum", *columns), start=2, end=3)
     every_row = add("Div", add("Sub", add("Add", height, rows), "one"), rows)
     bands = add("Squeeze", add("Max", every_row, "one"), "zero")
