@@ -335,28 +335,28 @@ _KINKS = "kinks at ci = co and s = 0"
 _SLOW = "those of the quadrature"
 _KNOWN = (
     Model("lambert", lambert, "Lambert 1760", 1.0, 0.141, derivatives=gradients.lambert),
-    Model("qualitative", qualitative, "Oren & Nayar 1994, eq. 30", 1.2, 0.070, _KINKS, gradients.qualitative),
+    Model("qualitative", qualitative, "Oren & Nayar 1994, eq. 30", 1.25, 0.070, _KINKS, gradients.qualitative),
     Model(
         "qualitative-0.57",
         qualitative_057,
         "Oren & Nayar 1994, remark on eq. 30",
-        1.2,
+        1.25,
         0.061,
         _KINKS,
         gradients.qualitative_057,
     ),
-    Model("fujii", fujii, "Y. Fujii 2012", 1.5, 0.035, _KINKS, gradients.fujii),
+    Model("fujii", fujii, "Y. Fujii 2012", 1.6, 0.035, _KINKS, gradients.fujii),
     Model("full", full, "Oren & Nayar 1994, eqs. 27-29", 2.8, 0.036, _KINKS),
     Model(
         "vcavity",
         vcavity,
         "this project's rational fit to the V-cavity theory, all bounces",
-        3.3,
+        3.4,
         0.0028,
         derivatives=gradients.vcavity,
     ),
-    Model("eon", eon, "Portsmouth, Kutz & Hill 2024", 2.1, 0.083, _KINKS),
-    Model("theory", theory, "Oren & Nayar 1994: the V-cavity integral, with all bounces", 76000.0, 0.00005, _SLOW),
+    Model("eon", eon, "Portsmouth, Kutz & Hill 2024", 2.2, 0.083, _KINKS),
+    Model("theory", theory, "Oren & Nayar 1994: the V-cavity integral, with all bounces", 73000.0, 0.00005, _SLOW),
 )
 _models: dict[str, Model] = {m.name: m for m in _KNOWN}
 MODELS: Mapping[str, Model] = MappingProxyType(_models)
