@@ -105,27 +105,7 @@ class _Shade(torch.autograd.Function):
             parts = _backward_tile(ctx.model, scene, ctx.axis, gradient, needed, exact=True)
             found = [None if p is None else _narrow(p, t.dtype) for p, t in zip(parts, scene, strict=True)]
         elif torch.is_grad_enabled() or _transformed((*scene, gradient)):  # second derivatives, Jacobians
-            with torch.enable_grad():
-                result = shade_whole(ctx.model, scene, ctx.axis, ctx.dtype)
-            wanted = [t for t, wants in zip(scene, needed, strict=True) if wants]
-            if not result.requires_grad:  # a model of constants
-                return (
-                    None,
-                    None,
-                    None,
-                    *(torch.zeros_like(t) if w else None for t, w in zip(scene, needed, strict=True)),
-                )
-            slopes = iter(
-                torch.autograd.grad(
-                    result,
-                    wanted,
-                    gradient,
-                    create_graph=torch.is_grad_enabled(),
-                    allow_unused=True,
-                    materialize_grads=True,
-                )
-            )
-            found = [next(slopes) if wants else None for wants in needed]
+            found = _backward_whole(ctx.model, scene, ctx.axis, ctx.dtype, gradient, needed)
         else:
             found = _backward(ctx.model, scene, ctx.axis, gradient, needed)
         return None, None, None, *found
@@ -155,6 +135,22 @@ def _forward_tile(model: Model, scene: Scene, axis: int, dtype: torch.dtype) -> 
     lit, ci, co, _ = _lit(_dot(n, l, axis), _dot(n, v, axis))
     value = model.function(ci, co, _dot(l, v, axis), rho, sigma) * lit
     return value if irradiance is None else value * irradiance
+
+
+def _backward_whole(
+    model: Model, scene: Scene, axis: int, dtype: torch.dtype, gradient: Tensor, needed: Sequence[bool]
+) -> list[Tensor | None]:
+    """Gradients of the scene by autograd of plain operations, through which others may differentiate again."""
+    again = torch.is_grad_enabled()
+    with torch.enable_grad():
+        result = shade_whole(model, scene, axis, dtype)
+    wanted = [t for t, wants in zip(scene, needed, strict=True) if wants]
+    slopes = [torch.zeros_like(t) for t in wanted]
+    if result.requires_grad:  # a model may be of constants
+        slopes = list(
+            torch.autograd.grad(result, wanted, gradient, create_graph=again, allow_unused=True, materialize_grads=True)
+        )
+    return [slopes.pop(0) if wants else None for wants in needed]
 
 
 def _backward(model: Model, scene: Scene, axis: int, gradient: Tensor, needed: Sequence[bool]) -> list[Tensor | None]:
