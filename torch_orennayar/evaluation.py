@@ -276,7 +276,6 @@ def _tiles(shape: tuple[int, ...], axis: int, device: torch.device) -> Iterator[
         if d - len(shape) != axis:
             inner = math.prod(steps[:d] + steps[d + 1 :])
             steps[d] = max(1, min(shape[d], limit // max(inner, 1)))
-    steps[axis] = shape[axis]
     ranges = (range(0, n, step or 1) for n, step in zip(shape, steps, strict=True))
     for starts in itertools.product(*ranges):
         index = [slice(i, i + step) for i, step in zip(starts, steps, strict=True)]
@@ -324,7 +323,7 @@ def _all_finite(tensors: Sequence[Tensor | None]) -> bool:
 
 def _dot(a: Tensor, b: Tensor, axis: int) -> Tensor:
     """The dot product along ``axis``, kept as 1; by component, since torch makes slow loops of sums over 3."""
-    if torch.compiler.is_exporting():
+    if torch.compiler.is_exporting():  # runtimes copy what is selected
         return (a * b).sum(axis, keepdim=True)
     (ax, ay, az), (bx, by, bz) = ([t.select(axis, k) for k in range(3)] for t in (a, b))
     return torch.addcmul(torch.addcmul(ax * bx, ay, by), az, bz).unsqueeze(axis)
