@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from fractions import Fraction
 
 import numpy as np
 import torch
@@ -101,34 +103,80 @@ def directional_albedo_monte_carlo(
 
 
 def cast_rays(
-    origins: Tensor, rays: Tensor, vertices: Tensor, faces: Tensor, near: float
+    lines: Callable[[Tensor], tuple[Tensor, Tensor]], pixels: Tensor, vertices: Tensor, faces: Tensor, near: float
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Nearest face per ray by Moeller & Trumbore, one face after the other.
+    """Nearest face per pixel by Moeller & Trumbore, one face after the other.
 
-    Rays are (N, 3) with z = -1, so the distance along a ray is depth. Returns the face (-1 for none), its
-    depth, and whether any intersection was too close to an edge or a tie in depth to be called.
+    ``lines`` gives origins and rays (z = -1, so the distance along a ray is depth) of image points (N, 2). Returns the
+    face (-1 for none), its depth, and whether the pixel is within 1/100 of an edge or of the near plane's cut, or two
+    depths are too close to call.
     """
-    best = torch.full((len(rays),), math.inf, dtype=torch.float64)
-    face = torch.full((len(rays),), -1)
-    unsure = torch.zeros(len(rays), dtype=torch.bool)
+    best = torch.full((len(pixels),), math.inf, dtype=torch.float64)
+    face = torch.full((len(pixels),), -1)
+    unsure = torch.zeros(len(pixels), dtype=torch.bool)
+    shifts = torch.tensor([[0.0, 0], [1, 0], [0, 1], [-1, 0], [0, -1]], dtype=torch.float64) / 100
     for index, corners in enumerate(vertices[faces].double()):
-        a, b, c = corners
-        e1, e2 = b - a, c - a
-        p = torch.linalg.cross(rays, e2.expand_as(rays))
-        det = (p * e1).sum(1)
-        if float(torch.linalg.cross(e1, e2).norm()) == 0:
-            continue
-        det = torch.where(det.abs() < 1e-15, torch.nan, det)
-        t = origins - a
-        u = (t * p).sum(1) / det
-        q = torch.linalg.cross(t, e1.expand_as(t))
-        w = (rays * q).sum(1) / det
-        depth = (e2 * q).sum(1) / det
-        margin = torch.stack((u, w, 1 - u - w)).amin(0)
-        unsure |= (margin.abs() < 1e-7) | ((depth - near).abs() < 1e-7) | ((depth - best).abs() < 1e-5)
-        hit = (margin > 0) & (depth >= near) & (depth < best)
-        best, face = torch.where(hit, depth, best), torch.where(hit, index, face)
+        found = [_meet(*lines(pixels + shift), corners) for shift in shifts]
+        edges, depth, inside = (torch.stack(values) for values in zip(*found, strict=True))
+        # Edge functions are linear in the image: their value over their slope is the distance to the edge's line.
+        slope = torch.stack((edges[1] - edges[3], edges[2] - edges[4])).norm(dim=0) * 50
+        unsure |= ((edges[0].abs() <= slope / 100) & (slope > 0)).any(0)
+        hit = inside & (depth >= near)
+        unsure |= hit.any(0) != hit.all(0)
+        unsure |= hit[0] & ((depth[0] - best).abs() < 1e-5)
+        seen = hit[0] & (depth[0] < best)
+        best, face = torch.where(seen, depth[0], best), torch.where(seen, index, face)
     return face, best, unsure
+
+
+def _meet(origins: Tensor, rays: Tensor, corners: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Edge functions (3, N), depth, and whether rays meet a triangle."""
+    a, b, c = corners
+    e1, e2 = b - a, c - a
+    p = torch.linalg.cross(rays, e2.expand_as(rays))
+    det = (p * e1).sum(1)
+    t = origins - a
+    q = torch.linalg.cross(t, e1.expand_as(t))
+    u, w = (t * p).sum(1), (rays * q).sum(1)
+    edges = torch.stack((u, w, det - u - w))
+    return edges, (e2 * q).sum(1) / det, (edges * det > 0).all(0) & (det.abs() > 1e-15)
+
+
+def rasterise_exactly(
+    image: list[list[tuple[float, float, float]]], size: tuple[int, int], *, grid: int = 256
+) -> tuple[list[int], list[bool]]:
+    """Face of every pixel (-1 for none), pixel by pixel in whole numbers, and whether two depths are equal there.
+
+    ``image`` holds the corners (x, y, depth) of every face in pixels. They are rounded to ``grid``; centres on an edge
+    belong to the face if it is a left edge, or a level one at the top; depth is linear on the rounded triangle.
+    """
+    best: list[tuple[Fraction, int] | None] = [None] * (size[0] * size[1])
+    tied = [False] * len(best)
+    for index, corners in enumerate(image):
+        points = [(round(x * grid), round(y * grid)) for x, y, _ in corners]
+        depths = [Fraction(z) for _, _, z in corners]
+        (ax, ay), (bx, by), (cx, cy) = points
+        area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+        if area == 0:
+            continue
+        if area < 0:  # corners run clockwise in rows and columns, so that inside is to the right
+            points, depths, area = points[::-1], depths[::-1], -area
+        for pixel in range(len(best)):
+            px, py = (2 * (pixel % size[1]) + 1) * grid // 2, (2 * (pixel // size[1]) + 1) * grid // 2
+            weights = []
+            for k in range(3):
+                (sx, sy), (ex, ey) = points[(k + 1) % 3], points[(k + 2) % 3]
+                value = (ex - sx) * (py - sy) - (ey - sy) * (px - sx)
+                owned = ey < sy or (ey == sy and ex > sx)
+                weights.append(value if value > 0 or (value == 0 and owned) else None)
+            if any(w is None for w in weights):
+                continue
+            depth = sum((Fraction(w, area) * z for w, z in zip(weights, depths, strict=True)), Fraction(0))
+            known = best[pixel]
+            tied[pixel] |= known is not None and abs(known[0] - depth) < Fraction(1, 10**7)
+            if known is None or depth < known[0]:
+                best[pixel] = depth, index
+    return [-1 if b is None else b[1] for b in best], tied
 
 
 def vcavity_traced(

@@ -32,6 +32,23 @@ def rays_of(camera: Camera, size: tuple[int, int]) -> tuple[Tensor, Tensor]:
     return base, torch.tensor([0.0, 0, -1]).double().expand_as(base)
 
 
+def centres(size: tuple[int, int]) -> Tensor:
+    """Image points (H * W, 2) of pixel centres."""
+    row, column = torch.meshgrid(*(torch.arange(n) + 0.5 for n in size), indexing="ij")
+    return torch.stack((column, row), -1).reshape(-1, 2).double()
+
+
+def lines_of(camera: Camera, size: tuple[int, int], points: Tensor) -> tuple[Tensor, Tensor]:
+    """Origin and direction (z = -1) of the line of sight of image points (N, 2), camera frame."""
+    focal, centre, half = camera.focal[0].double(), camera.centre[0].double(), size[0] / 2
+    x = ((points[:, 0] - size[1] / 2) / half - centre[0]) / focal[0]
+    y = (-(points[:, 1] - size[0] / 2) / half - centre[1]) / focal[1]
+    zero, one = torch.zeros_like(x), torch.ones_like(x)
+    if camera.is_perspective:
+        return torch.stack((zero, zero, zero), 1), torch.stack((x, y, -one), 1)
+    return torch.stack((x, y, zero), 1), torch.stack((zero, zero, -one), 1)
+
+
 @pytest.mark.parametrize("perspective", [False, True])
 @given(soup=triangles)
 def test_any_triangles_against_ray_casting(perspective: bool, soup: list[object]) -> None:
@@ -43,14 +60,37 @@ def test_any_triangles_against_ray_casting(perspective: bool, soup: list[object]
     seen = render_normals(vertices, faces, camera, size)
     moved = camera.to_camera_frame(vertices.double())[0]
     near = camera.near if perspective else -math.inf
-    face, depth, unsure = oracles.cast_rays(*rays_of(camera, size), moved, faces, near)
+    face, depth, unsure = oracles.cast_rays(
+        lambda points: lines_of(camera, size, points), centres(size), moved, faces, near
+    )
     sure = ~unsure
     assert torch.equal(seen.face.flatten()[sure], face[sure])
     hit = sure & (face >= 0)
     assert torch.allclose(seen.depth.flatten()[hit].double(), depth[hit], rtol=1e-3, atol=1e-3)
     assert torch.equal(seen.mask.flatten(), seen.face.flatten() >= 0)
     assert seen.depth.flatten()[seen.face.flatten() < 0].isinf().all()
+    assert not seen.depth.isnan().any()
     assert seen.normal.isfinite().all()
+    assert seen.barycentric.isfinite().all()
+
+
+grid_point = st.tuples(st.integers(-20, 100), st.integers(-20, 100), st.integers(-8, 8))
+
+
+@pytest.mark.parametrize("scale", [1 / 16, 1 / 4, 40.0], ids=["small", "on the grid", "huge"])
+@given(soup=st.lists(st.tuples(grid_point, grid_point, grid_point), min_size=1, max_size=6))
+def test_any_triangles_against_whole_numbers(scale: float, soup: list[object]) -> None:
+    """Edges through pixel centres, slivers, level edges, ties of corners: to the last pixel."""
+    size = (7, 10)
+    image = torch.tensor(soup, dtype=torch.float64).reshape(-1, 3) * torch.tensor([scale, scale, 0.125])
+    wanted, tied = oracles.rasterise_exactly(image.reshape(-1, 3, 3).tolist(), size)
+    half = size[0] / 2
+    vertices = torch.stack((image[:, 0] / half - size[1] / size[0], 1 - image[:, 1] / half, -image[:, 2]), 1)
+    faces = torch.arange(len(vertices)).reshape(-1, 3)
+    seen = render_normals(vertices, faces, Camera.orthographic(), size).face.flatten()
+    sure = ~torch.tensor(tied)
+    assert torch.equal(seen[sure], torch.tensor(wanted)[sure])
+    assert torch.equal(seen >= 0, torch.tensor(wanted) >= 0)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -168,9 +208,17 @@ def test_coincident_vertices_give_finite_gradients() -> None:
 def test_large_triangles_are_searched_in_parts(monkeypatch: pytest.MonkeyPatch) -> None:
     vertices, faces = sphere(2)
     whole = render_normals(vertices * 3, faces, Camera.perspective(1.4, (0, 0, 3.5)), (40, 40))
-    monkeypatch.setattr("torch_orennayar.render.FRAGMENTS", 37)
+    monkeypatch.setattr("torch_orennayar.raster.FRAGMENTS", 37)
+    monkeypatch.setattr("torch_orennayar.raster.CHUNK", 29)
+    monkeypatch.setattr("torch_orennayar.interpolate.TILE", 100)
     parts = render_normals(vertices * 3, faces, Camera.perspective(1.4, (0, 0, 3.5)), (40, 40))
     assert torch.equal(whole.face, parts.face)
+    assert torch.equal(whole.normal, parts.normal)
+    eyes = torch.tensor([[0.0, 0, 3.5], [2, 1, 2.5], [0, 3, 2]])
+    views = render_normals(vertices * 2, faces, Camera.perspective(1.4, eyes), (40, 40))
+    monkeypatch.undo()
+    whole = render_normals(vertices * 2, faces, Camera.perspective(1.4, eyes), (40, 40))
+    assert torch.equal(views.face, whole.face)
 
 
 def test_barycentric_weights_rebuild_the_surface_point() -> None:

@@ -20,7 +20,7 @@ from .errors import (
 from .export import export_onnx
 from .images import decode_normals, encode_normals, linear_to_srgb, srgb_to_linear
 from .integrate import integrate_normals
-from .mesh import load_mesh, save_mesh
+from .mesh import load_mesh, save_mesh, vertex_normals
 from .metrics import AngularError, angular_error
 from .reflectance import MODELS, Model, register_model, roughness_from_slope, slope_from_roughness
 from .render import NormalMap, render_normals
@@ -70,4 +70,5 @@ __all__ = [
     "slope_from_roughness",
     "srgb_to_linear",
     "swap_opencv_frame",
+    "vertex_normals",
 ]

@@ -226,8 +226,10 @@ class Camera:
 
     def to_camera_frame(self, points: Tensor) -> Tensor:
         """World points (V, 3) or (B, V, 3) in the camera frame, (B, V, 3); differentiable."""
-        eye, rotation = self.eye.to(points), self.rotation.to(points)
-        return (points - eye[:, None]) @ rotation.transpose(1, 2)
+        x, y, z = (points - self.eye.to(points)[:, None]).unbind(-1)
+        rows = self.rotation.to(points).unbind(1)
+        # Sums in this order everywhere: graphs have to round alike.
+        return torch.stack([x * r[:, :1] + y * r[:, 1:2] + z * r[:, 2:] for r in rows], -1)
 
     def to_image(self, points: Tensor, size: tuple[int, int]) -> Tensor:
         """Homogeneous pixel coordinates (x w, y w, w) of camera-frame points (B, V, 3); w is 1 if orthographic."""

@@ -98,6 +98,40 @@ def save_mesh(path: str | os.PathLike[str], vertices: Tensor, faces: Tensor, col
             ) from error
 
 
+def vertex_normals(vertices: Tensor, faces: Tensor) -> Tensor:
+    """Unit normals of vertices from the faces around them, weighted so that they are exact on a sphere.
+
+    Args:
+        vertices: (V, 3) or (B, V, 3); differentiable.
+        faces: (F, 3) int64, corners counter-clockwise where seen from outside.
+
+    Returns:
+        The shape of ``vertices``; 0 where a vertex has no face, or only faces without area.
+
+    Source:
+        Max 1999, "Weights for computing vertex normals from facet normals": a corner weighs by the sine of its
+        angle over the lengths of its edges.
+
+    Example:
+        >>> import torch, torch_orennayar as ton
+        >>> ton.vertex_normals(torch.eye(3), torch.tensor([[0, 1, 2]]))[0].tolist()
+        [0.5773502588272095, 0.5773502588272095, 0.5773502588272095]
+    """
+    batched = vertices if vertices.ndim == 3 else vertices[None]
+    points = batched.double().transpose(1, 2)  # planes of x, y, z
+    index = faces.T.reshape(-1)
+    corner = points.index_select(2, index).view(points.shape[0], 3, 3, -1)
+    edge = corner.roll(-1, 2) - corner
+    area = torch.linalg.cross(edge[:, :, 0], edge[:, :, 1], dim=1)
+    length = edge.square().sum(1)  # squared, of the edges that leave corners 0, 1, 2
+    product = length * length.roll(1, 1)
+    weight = (product > 0) / torch.where(product > 0, product, 1)
+    parts = (area[:, :, None] * weight[:, None]).flatten(2)
+    total = torch.zeros_like(points).scatter_add(2, index.expand_as(parts), parts)
+    unit = torch.nn.functional.normalize(total, dim=1, eps=1e-300).transpose(1, 2).to(vertices.dtype)
+    return unit if vertices.ndim == 3 else unit[0]
+
+
 def normalise_mesh(vertices: Tensor) -> Tensor:
     """Centre (V, 3) vertices on their bounding box and scale it to fit the unit sphere."""
     low, high = vertices.amin(0), vertices.amax(0)

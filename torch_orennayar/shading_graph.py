@@ -31,7 +31,7 @@ INPUTS = ("normal", "light", "view", "albedo", "roughness")
 _MAPS = ("ci", "co", "lv", "albedo", "roughness")
 
 
-class _Formula(nn.Module):
+class Formula(nn.Module):
     """Shading from cosines."""
 
     def __init__(self, function: ModelFunction) -> None:
@@ -169,7 +169,7 @@ def _trace(function: ModelFunction) -> onnx.ModelProto:
     try:
         with quiet():
             program = torch.onnx.export(
-                _Formula(function),
+                Formula(function),
                 example,
                 input_names=list(_MAPS),
                 output_names=["shading"],

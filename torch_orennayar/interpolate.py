@@ -1,0 +1,222 @@
+"""Normals, depth and barycentric weights of the faces that pixels see: a table per face, then sums per pixel.
+
+On a face, weights over depth are linear in the image (Olano & Greer 1997), so a face needs a few numbers and a pixel a
+few products. Coverage rounds corners to a grid, this does not: a pixel that the rounding gave to a face sees the face's
+nearest point.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from .raster import exporting
+
+TILE = 1 << 15
+"""Pixels at once."""
+CANCELLED = 1e-6
+"""Length below which blended unit normals point nowhere; the face's own normal then stands in."""
+STEEPEST = 1e6
+"""Change of a weight per pixel above which a face is seen from its edge: its centre then stands in."""
+
+
+class Surface(NamedTuple):
+    """Vertices of B views in float64: camera frame (B, V, 3), pixels (B, V, 3) homogeneous, unit normals or None.
+
+    ``as_given`` normals are not turned toward the viewer.
+    """
+
+    corners: Tensor
+    image: Tensor
+    normals: Tensor | None
+    as_given: bool
+
+
+class Maps(NamedTuple):
+    """Per pixel of all views, planes first: normal (3, B, H, W), depth (B, H, W), barycentric (3, B, H, W)."""
+
+    normal: Tensor
+    depth: Tensor
+    barycentric: Tensor
+
+
+def interpolate(
+    surface: Surface, faces: Tensor, face: Tensor, size: tuple[int, int], *, perspective: bool, dtype: torch.dtype
+) -> Maps:
+    """What every pixel sees of its face; ``face`` is (B, H * W), F where nothing is seen.
+
+    Differentiable in ``surface``.
+    """
+    views, count = face.shape[0], faces.shape[0]
+    seen, index = _seen(face, count)
+    smooth = surface.normals is not None
+    table = _table(surface, faces, seen, size, perspective).to(dtype)
+    table = torch.cat((table, _nothing(smooth, perspective, table)), 1)
+    if exporting():
+        return Maps(*_values(table, index, _grid(slice(None), size, table), smooth, perspective))
+    shape = (views, *size)
+    normal, depth, barycentric = _Tiles.apply(table, index, size, smooth, perspective)  # type: ignore[no-untyped-call]
+    return Maps(normal.view(3, *shape), depth.view(shape), barycentric.view(3, *shape))
+
+
+def _seen(face: Tensor, count: int) -> tuple[Tensor, Tensor]:
+    """The faces that are seen at all, as view * F + face, and for every pixel its place among them, or their number."""
+    if exporting():
+        return torch.arange(count), face.flatten()
+    views = face.shape[0]
+    own = face + torch.arange(views, device=face.device)[:, None] * (count + 1)
+    flag = torch.zeros(views, count + 1, dtype=torch.int32, device=face.device)
+    flag.view(-1).index_fill_(0, own.flatten(), 1)
+    flag[:, -1] = 0
+    seen = flag[:, :-1].flatten().nonzero().flatten()
+    place = flag.flatten().cumsum(0, dtype=torch.int64).sub_(1).view(views, -1)
+    place[:, -1] = seen.shape[0]
+    return seen, place.flatten().index_select(0, own.flatten())
+
+
+def _table(surface: Surface, faces: Tensor, seen: Tensor, size: tuple[int, int], perspective: bool) -> Tensor:
+    """A column per face.
+
+    Rows: change along x, along y, and value in the middle of the image of two weights (over w, and 1 / w itself, if
+    perspective); depth, then smooth normals, at the first corner; their differences to the second and to the third;
+    the face's own normal.
+    """
+    count = max(faces.shape[0], 1)
+    view = seen // count
+    corner = (faces.index_select(0, seen - view * count) + (view * surface.image.shape[1])[:, None]).T.reshape(-1)
+
+    def gather(values: Tensor) -> Tensor:
+        planes = values.reshape(-1, 3).T.contiguous()
+        return planes.index_select(1, corner).view(3, 3, -1)  # component, corner, face
+
+    image, place = gather(surface.image), gather(surface.corners)
+    edge = torch.stack([_cross(image[:, (k + 1) % 3], image[:, (k + 2) % 3]) for k in range(3)], 1)
+    volume = (edge[:, 0] * image[:, 0]).sum(0)
+    steepness = edge[:2].abs().amax((0, 1)) * image[2].abs().amax(0)
+    thin = ~(steepness < STEEPEST * volume.abs())
+    inverse = torch.where(thin, 0.0, 1 / torch.where(thin, 1.0, volume))
+    weight = edge[:, 1:] * inverse
+    if perspective:
+        weight = torch.cat((weight, (edge.sum(1, keepdim=True) * inverse)), 1)
+    middle = weight[0] * (size[1] / 2) + weight[1] * (size[0] / 2) + weight[2]
+    centre = weight.new_tensor((1 / 3, 1 / 3, 1.0)[: len(middle)])[:, None]
+    middle = torch.where(thin, centre, middle)
+    side = 1 - 2 * (volume > 0).to(volume)  # corners run counter-clockwise from the front, and rows go down
+    flat = _cross(place[:, 1] - place[:, 0], place[:, 2] - place[:, 0]) * side
+    flat = flat * _square(flat).clamp_min(1e-300).rsqrt()
+    values = -place[2:]
+    if surface.normals is not None:
+        normal = gather(surface.normals)
+        values = torch.cat((values, normal if surface.as_given else normal * side))
+    first = values[:, 0]
+    return torch.cat((weight[0], weight[1], middle, first, values[:, 1] - first, values[:, 2] - first, flat))
+
+
+def _nothing(smooth: bool, perspective: bool, like: Tensor) -> Tensor:
+    """The table's column of a pixel that sees nothing: infinite depth, and no division by 0."""
+    rows = [0.0] * (8 if perspective else 6) + [1.0] * perspective
+    rows += [torch.inf, 0.0, 0.0, 1.0] + [0.0] * 8 if smooth else [torch.inf, 0.0, 0.0]
+    return like.new_tensor([*rows, 0.0, 0.0, 0.0])[:, None]
+
+
+def _cross(a: Tensor, b: Tensor) -> Tensor:
+    """Cross product of planes (3, N)."""
+    return torch.stack((a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]))
+
+
+def _grid(rows: slice, size: tuple[int, int], like: Tensor) -> tuple[Tensor, Tensor]:
+    """Columns (W,) and ``rows`` (R, 1) of pixel centres, from the middle of the image; rows count through all views."""
+    height, width = size
+    x = torch.arange(width, device=like.device, dtype=like.dtype) + (0.5 - width / 2)
+    if rows == slice(None):
+        y = torch.arange(height, device=like.device, dtype=like.dtype)
+    else:
+        y = (torch.arange(rows.start, rows.stop, device=like.device) % height).to(like.dtype)
+    return x, (y + (0.5 - height / 2))[:, None]
+
+
+def _values(
+    table: Tensor,
+    index: Tensor,
+    grid: tuple[Tensor, Tensor],
+    smooth: bool,
+    perspective: bool,
+    space: Tensor | None = None,
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Normal (3, R, W), depth (R, W) and barycentric weights (3, R, W) of rows of pixels; ``space`` is used up."""
+    x, y = grid
+    planes, width = 3 if perspective else 2, 4 if smooth else 1
+
+    def look_up(rows: Tensor, out: Tensor | None = None) -> Tensor:
+        return torch.index_select(rows, 1, index, out=out).view(-1, len(y), len(x))
+
+    columns = look_up(table[:-3], None if space is None else space[:, : index.shape[0]])
+    along, down, middle, *corners = columns.split((planes, planes, planes, width, width, width))
+    hit = (index < table.shape[1] - 1).view(len(y), len(x)).to(table.dtype)
+    weight = torch.addcmul(torch.addcmul(middle, along, x), down, y)
+    if perspective:
+        weight = weight[:2] / weight[2]
+    weight = weight.clamp_min(0)
+    weight = weight / (weight[0] + weight[1]).clamp_min(1)
+    values = torch.addcmul(torch.addcmul(corners[0], weight[0], corners[1]), weight[1], corners[2])
+    barycentric = torch.stack((hit - weight[0] - weight[1], weight[0], weight[1]))
+    if not smooth:
+        return look_up(table[-3:]), values[0], barycentric
+    length = _square(values[1:])
+    lost = length < CANCELLED**2
+    normal = values[1:] * (length.clamp_min(CANCELLED**2).rsqrt() * hit)
+    if exporting() or bool(lost.any()):
+        normal = torch.where(lost, look_up(table[-3:]), normal)
+    return normal, values[0], barycentric
+
+
+def _square(a: Tensor) -> Tensor:
+    return a[0] * a[0] + a[1] * a[1] + a[2] * a[2]
+
+
+class _Tiles(torch.autograd.Function):
+    """`_values` in tiles of rows that fit in cache; keeps nothing but its inputs."""
+
+    @staticmethod
+    def forward(
+        ctx: Any, table: Tensor, index: Tensor, size: tuple[int, int], smooth: bool, perspective: bool
+    ) -> tuple[Tensor, ...]:
+        ctx.save_for_backward(table, index)
+        ctx.choice = (size, smooth, perspective)
+        rows = index.shape[0] // size[1]
+        normal, depth, barycentric = (table.new_empty(k, rows, size[1]) for k in (3, 1, 3))
+        space = table.new_empty(table.shape[0] - 3, min(max(TILE, size[1]), index.shape[0]))
+        for part in _tiles(rows, size[1]):
+            here, grid = _cut(index, part, size[1]), _grid(part, size, table)
+            values = _values(table, here, grid, smooth, perspective, space)
+            normal[:, part], depth[0, part], barycentric[:, part] = values
+        return normal, depth[0], barycentric
+
+    @staticmethod
+    def backward(ctx: Any, *arriving: Tensor) -> tuple[Tensor | None, ...]:
+        table, index = ctx.saved_tensors
+        size, smooth, perspective = ctx.choice
+        if torch.is_grad_enabled():  # second derivatives: in one piece, by plain operations
+            rows = slice(0, index.shape[0] // size[1])
+            values = _values(table, index, _grid(rows, size, table), smooth, perspective)
+            (whole,) = torch.autograd.grad(values, table, arriving, create_graph=True)
+            return whole, None, None, None, None
+        gradient = torch.zeros_like(table)
+        for part in _tiles(index.shape[0] // size[1], size[1]):
+            leaf = table.detach().requires_grad_()
+            with torch.enable_grad():
+                values = _values(leaf, _cut(index, part, size[1]), _grid(part, size, table), smooth, perspective)
+            given = [arriving[0][:, part], arriving[1][part], arriving[2][:, part]]
+            gradient += torch.autograd.grad(values, leaf, given)[0]
+        return gradient, None, None, None, None
+
+
+def _tiles(rows: int, width: int) -> list[slice]:
+    step = max(1, TILE // width)
+    return [slice(r, min(r + step, rows)) for r in range(0, rows, step)]
+
+
+def _cut(index: Tensor, part: slice, width: int) -> Tensor:
+    return index[part.start * width : part.stop * width]

@@ -1,0 +1,106 @@
+"""Trace the renderer, alone or with shading behind it, into an ONNX graph."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING, Any
+
+import torch
+from torch import Tensor, nn
+
+from .camera import Camera
+from .errors import ExportError
+from .reflectance import get_model
+from .render import rasterise
+from .shading_graph import OPSET, Formula, quiet
+
+if TYPE_CHECKING:
+    import onnx
+
+MAPS = ("normal", "mask", "depth", "face")
+
+
+class Renderer(nn.Module):
+    """Mesh to maps, and with a ``model`` to shaded pictures before them."""
+
+    def __init__(self, camera: Camera, size: tuple[int, int], model: str | None) -> None:
+        super().__init__()
+        self.camera, self.size, self.model = camera, size, model
+
+    def forward(
+        self,
+        vertices: Tensor,
+        faces: Tensor,
+        light: Tensor | None = None,
+        albedo: Tensor | None = None,
+        roughness: Tensor | None = None,
+    ) -> tuple[Tensor, ...]:
+        """Maps of `NormalMap`; with a model ``light`` (K, 3), ``albedo`` (C,), ``roughness`` (1,) give (K, C, H, W)."""
+        seen = rasterise(vertices[None], faces, self.camera, self.size)
+        maps = (seen.normal, seen.mask, seen.depth, seen.face)
+        if self.model is None or light is None or albedo is None or roughness is None:
+            return maps
+        if self.camera.is_perspective:
+            view = self.camera.view_directions(self.size).to(vertices)
+        else:
+            view = vertices.new_tensor((0.0, 0.0, 1.0)).reshape(1, 3, 1, 1)
+        toward = light[:, :, None, None]
+        cosines = [(a * b).sum(1, keepdim=True) for a, b in ((seen.normal, toward), (seen.normal, view), (toward, view))]
+        formula = Formula(get_model(self.model).function)
+        shading = formula(*cosines, albedo.reshape(1, -1, 1, 1), roughness.reshape(1, 1, 1, 1))
+        return (shading, *maps)
+
+
+def renderer_inputs(model: str | None) -> tuple[str, ...]:
+    """Names of the graph's inputs."""
+    return ("vertices", "faces") if model is None else ("vertices", "faces", "light", "albedo", "roughness")
+
+
+def renderer_outputs(model: str | None) -> tuple[str, ...]:
+    """Names of the graph's outputs."""
+    return MAPS if model is None else ("shading", *MAPS)
+
+
+def renderer_graph(renderer: Renderer) -> onnx.ModelProto:
+    """The graph; the numbers of vertices, faces, lights and channels are dynamic."""
+    example: tuple[Tensor, ...] = (torch.rand(5, 3), torch.tensor([[0, 1, 2], [1, 2, 3], [2, 3, 4]]))
+    shapes: dict[str, dict[int, object]] = {n: {0: torch.export.Dim(n)} for n in ("vertices", "faces")}
+    if renderer.model is not None:
+        example = (*example, torch.rand(4, 3), torch.rand(2), torch.rand(1))
+        shapes |= {"light": {0: torch.export.Dim("lights")}, "albedo": {0: torch.export.Dim("channels")}, "roughness": {}}
+    try:
+        with quiet(), torch._dynamo.config.patch(do_not_emit_runtime_asserts=True):
+            traced = _trace(renderer, example, shapes)
+            program = torch.onnx.export(
+                traced,
+                example,
+                input_names=list(renderer_inputs(renderer.model)),
+                output_names=list(renderer_outputs(renderer.model)),
+                dynamic_shapes=shapes,
+                opset_version=OPSET,
+                dynamo=True,
+                verbose=False,
+            )
+        assert program is not None
+        graph: onnx.ModelProto = program.model_proto
+    except Exception as error:  # the exporter raises many kinds
+        raise ExportError(
+            "renderer",
+            expected="a graph that torch.onnx can write",
+            got=f"{type(error).__name__}: {re.sub(chr(27) + '[^m]*m', '', str(error)).partition(chr(10))[0]}",
+            mend="report this with the versions that `orennayar info` prints",
+        ) from error
+    for node in graph.graph.node:  # traces of the exporting machine: paths and code
+        del node.metadata_props[:]
+        node.doc_string = ""
+    return graph
+
+
+def _trace(renderer: Renderer, example: tuple[Tensor, ...], shapes: dict[str, dict[int, object]]) -> Any:
+    """The renderer as a program without checks of the numbers of faces and pixels, which ONNX cannot write."""
+    program = torch.export.export(renderer, example, dynamic_shapes=shapes, strict=False).run_decompositions()
+    for node in list(program.graph.nodes):
+        if "assert" in str(node.target) or "sym_constrain" in str(node.target):
+            program.graph.erase_node(node)
+    program.graph.eliminate_dead_code()
+    return program
