@@ -8,6 +8,7 @@ from ._version import __version__
 from .camera import Camera, swap_opencv_frame
 from .capture import Capture, load_capture
 from .choice import ModelChoice, simplest_model
+from .depth import depth_to_normals
 from .errors import (
     CaptureError,
     ExportError,
@@ -25,6 +26,7 @@ from .metrics import AngularError, angular_error
 from .reflectance import MODELS, Model, register_model, roughness_from_slope, slope_from_roughness
 from .render import NormalMap, render_normals
 from .shading import OrenNayar, brdf, directional_albedo, oren_nayar, point_light
+from .silhouette import antialias, face_neighbours
 from .specular import blinn_phong, microfacet, phong
 from .stereo import Reconstruction, photometric_stereo
 
@@ -47,12 +49,15 @@ __all__ = [
     "TorchOrenNayarError",
     "__version__",
     "angular_error",
+    "antialias",
     "blinn_phong",
     "brdf",
     "decode_normals",
+    "depth_to_normals",
     "directional_albedo",
     "encode_normals",
     "export_onnx",
+    "face_neighbours",
     "integrate_normals",
     "linear_to_srgb",
     "load_capture",

@@ -258,7 +258,7 @@ class Camera:
         x = (column - self.centre[:, :1]) / self.focal[:, :1]  # (B, W)
         y = (row - self.centre[:, 1:]) / self.focal[:, 1:]  # (B, H)
         shape = (len(self.focal), height, width)
-        z = torch.full(shape, -1.0 if self.is_perspective else 0.0).to(self.focal)
+        z = (x[:, None] * 0 - float(self.is_perspective)).expand(shape)
         return torch.stack((x[:, None].expand(shape), y[:, :, None].expand(shape), z), 1)
 
     def view_directions(self, size: tuple[int, int]) -> Tensor:

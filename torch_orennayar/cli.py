@@ -6,7 +6,7 @@ import math
 import sys
 import time
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
@@ -15,6 +15,9 @@ from rich.table import Table
 from .errors import FileError, RangeError, TorchOrenNayarError
 from .files import check_output
 from .progress import say
+
+if TYPE_CHECKING:
+    from .camera import Camera
 
 app = typer.Typer(
     help="Rough surfaces: shading, rendering, photometric stereo, ONNX export. Angles are degrees.",
@@ -32,6 +35,13 @@ Output = Annotated[Path, typer.Option("-o", "--output", help="Folder for the res
 Seed = Annotated[int, typer.Option(help="Seed of everything drawn at random.", min=0, max=2**63 - 1)]
 ModelName = Annotated[str, typer.Option(help="Reflectance model; `orennayar info` lists them.")]
 Roughness = Annotated[float, typer.Option(help="Roughness in degrees, 0 to 90.", min=0, max=90)]
+
+Size = Annotated[int, typer.Option(help="Height and width in pixels.", min=1, max=4096)]
+Azimuth = Annotated[float, typer.Option(help="Degrees that the camera walks to the right.", min=-360, max=360)]
+Elevation = Annotated[float, typer.Option(help="Degrees that it climbs.", min=-89, max=89)]
+FieldOfView = Annotated[
+    float | None, typer.Option(help="Vertical field of view in degrees; default orthographic.", min=1, max=170)
+]
 
 
 @app.command()
@@ -69,50 +79,78 @@ def render(
         0.4,
         0.86,
     ),
+    lights: Annotated[
+        int, typer.Option(help="A sheet under that many lights, 45 degrees off the view.", min=0, max=96)
+    ] = 0,
     model: ModelName = "vcavity",
-    size: Annotated[int, typer.Option(help="Height and width in pixels.", min=1, max=4096)] = 512,
-    azimuth: Annotated[
-        float, typer.Option(help="Degrees that the camera walks to the right.", min=-360, max=360)
-    ] = 0.0,
-    elevation: Annotated[float, typer.Option(help="Degrees that it climbs.", min=-89, max=89)] = 0.0,
-    fov: Annotated[
-        float | None, typer.Option(help="Vertical field of view in degrees; default orthographic.", min=1, max=170)
-    ] = None,
+    size: Size = 512,
+    azimuth: Azimuth = 0.0,
+    elevation: Elevation = 0.0,
+    fov: FieldOfView = None,
+    turntable: Annotated[Path | None, typer.Option(help="Also write a .gif or .mp4 of a walk around it.")] = None,
+    frames: Annotated[int, typer.Option(help="Pictures of the turntable.", min=2, max=720)] = 36,
 ) -> None:
     """Draw a mesh: its normal map, depth, and the surface shaded smooth and rough."""
     import torch
     import torch.nn.functional as F
 
-    from .camera import Camera
+    from .figures import show_light
+    from .images import ANIMATIONS, write_animation
     from .mesh import load_mesh, normalise_mesh
+    from .progress import track
     from .render import render_normals
     from .results import write_render
     from .shading import OrenNayar
 
     check_output(output)
+    if turntable is not None:
+        if turntable.suffix.lower() not in ANIMATIONS:
+            got = turntable.suffix or "no suffix"
+            raise FileError(str(turntable), expected="a .gif or .mp4 name", got=got, mend="rename it")
+        check_output(turntable.parent)
     layer = OrenNayar(model)
     direction = torch.tensor(light)
     if not (bool(direction.isfinite().all()) and bool(direction.norm() > 0)):
         raise RangeError("--light", expected="a direction", got=str(light), mend="give three numbers, not all zero")
     vertices, faces = load_mesh(mesh)
+    vertices, unit = normalise_mesh(vertices), F.normalize(direction, dim=0)[None]
+    seen = render_normals(vertices, faces, _camera(azimuth, elevation, fov), (size, size))
+    if not bool(seen.mask.any()):
+        raise RangeError(str(mesh), expected="a surface that can be seen", got="no pixel", mend="check the mesh")
+    sigma = math.radians(roughness)
+    pictures = {
+        "Lambert": seen.shade(OrenNayar("lambert"), unit, albedo=albedo)[0],
+        f"σ = {roughness:g}°": seen.shade(layer, unit, albedo=albedo, roughness=sigma)[0],
+    }
+    ring = torch.arange(lights) * (2 * math.pi / max(lights, 1))
+    around = torch.stack((ring.cos(), ring.sin(), torch.ones_like(ring)), 1) * math.sqrt(0.5)
+    sheet = {
+        f"{math.degrees(angle):.0f}°": seen.shade(layer, toward[None], albedo=albedo, roughness=sigma)[0]
+        for angle, toward in zip(ring.tolist(), around, strict=True)
+    }
+    write_render(output, seen, pictures, sheet)
+    out.print(f"{len(faces)} faces, {int(seen.mask.sum())} pixels; wrote {output}", markup=False)
+    if turntable is not None:
+        even = size + size % 2  # what video needs
+        walk = []
+        for k in track(range(frames), "turntable"):
+            view = render_normals(vertices, faces, _camera(azimuth + 360 * k / frames, elevation, fov), (even, even))
+            shaded = view.shade(layer, unit, albedo=albedo, roughness=sigma)[0]
+            walk.append(show_light(shaded, view.mask[0]))
+        write_animation(turntable, walk)
+        out.print(f"wrote {turntable}, {frames} pictures", markup=False)
+
+
+def _camera(azimuth: float, elevation: float, fov: float | None) -> Camera:
+    """Look at the unit sphere from a direction in degrees."""
+    from .camera import Camera
+
     a, e = math.radians(azimuth), math.radians(elevation)
     toward = (math.sin(a) * math.cos(e), math.sin(e), math.cos(a) * math.cos(e))
     if fov is None:
-        camera = Camera.orthographic(1.05, eye=tuple(2 * x for x in toward))
-    else:
-        distance = 1.05 / math.sin(math.radians(fov) / 2)
-        camera = Camera.perspective(math.radians(fov), eye=tuple(distance * x for x in toward))
-    seen = render_normals(normalise_mesh(vertices), faces, camera, (size, size))
-    if not bool(seen.mask.any()):
-        raise RangeError(str(mesh), expected="a surface that can be seen", got="no pixel", mend="check the mesh")
-    view = camera.view_directions((size, size))
-    unit = F.normalize(direction, dim=0)[None]
-    pictures = {
-        "Lambert": OrenNayar("lambert")(seen.normal, unit, view, albedo=albedo)[0],
-        f"σ = {roughness:g}°": layer(seen.normal, unit, view, albedo=albedo, roughness=math.radians(roughness))[0],
-    }
-    write_render(output, seen, pictures)
-    out.print(f"{len(faces)} faces, {int(seen.mask.sum())} pixels; wrote {output}", markup=False)
+        return Camera.orthographic(1.05, eye=tuple(2 * x for x in toward))
+    distance = 1.05 / math.sin(math.radians(fov) / 2)
+    return Camera.perspective(math.radians(fov), eye=tuple(distance * x for x in toward))
 
 
 @app.command()
@@ -166,16 +204,21 @@ def stereo(
 @app.command()
 def export(
     path: Annotated[Path, typer.Argument(help="The .onnx file to write.")] = Path("out/shading.onnx"),
-    graph: Annotated[str, typer.Option(help="What to export: shading.")] = "shading",
+    graph: Annotated[str, typer.Option(help="What to export: shading, renderer or shaded_mesh.")] = "shading",
     model: ModelName = "vcavity",
     per_pixel_directions: Annotated[bool, typer.Option("--per-pixel", help="Light and view are maps.")] = False,
+    size: Size = 512,
+    azimuth: Azimuth = 0.0,
+    elevation: Elevation = 0.0,
+    fov: FieldOfView = None,
 ) -> None:
-    """Write an ONNX graph and verify it against torch."""
+    """Write an ONNX graph and verify it against torch; the last four options are the camera of a renderer."""
     from .export import export_onnx
 
     check_output(path.parent)
-    say("exporting and verifying")
-    export_onnx(graph, path, model=model, per_pixel_directions=per_pixel_directions)
+    say("exporting and verifying" + ("" if graph == "shading" else ", about half a minute"))
+    camera = _camera(azimuth, elevation, fov)
+    export_onnx(graph, path, model=model, per_pixel_directions=per_pixel_directions, camera=camera, size=(size, size))
     out.print(f"{path}: {path.stat().st_size / 1000:.0f} kB, equal to torch at every size tried", markup=False)
 
 

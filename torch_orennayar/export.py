@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
 from ._version import __version__
+from .camera import Camera
 from .errors import ExportError
 from .files import atomic_path
 from .reflectance import get_model
+from .renderer_graph import Renderer, renderer_graph, renderer_inputs, renderer_trials
 from .shading import oren_nayar
 from .shading_graph import BAND, INPUTS, shading_graph
 
@@ -27,27 +29,44 @@ TOLERANCE = 1e-5
 
 
 def export_onnx(
-    what: str, path: str | os.PathLike[str], *, model: str = "qualitative", per_pixel_directions: bool = False
+    what: str,
+    path: str | os.PathLike[str],
+    *,
+    model: str = "qualitative",
+    per_pixel_directions: bool = False,
+    camera: Camera | None = None,
+    size: tuple[int, int] | None = None,
 ) -> Path:
     """Write a graph as an ONNX file and verify it against torch in ONNX Runtime before returning.
 
     ``"shading"`` takes ``normal`` (B, 3, H, W), ``light`` and ``view`` (B, 3, 1, 1), or (B, 3, H, W) with
     ``per_pixel_directions``, ``albedo`` (B, C, H, W) and ``roughness`` (B, 1, H, W) and returns
-    ``shading`` (B, C, H, W). B >= 1, C, H, W are dynamic, and each input may have 1 where it is constant. All
-    float32, linear light, roughness in radians; opset 18. Meaning and units are in the file's metadata.
+    ``shading`` (B, C, H, W). B >= 1, C, H, W are dynamic, and each input may have 1 where it is constant.
+
+    ``"renderer"`` takes ``vertices`` (V, 3) and ``faces`` (F, 3) int64 and returns ``normal`` (1, 3, H, W), ``mask``
+    (1, 1, H, W) bool, ``depth`` (1, 1, H, W) and ``face`` (1, 1, H, W) int64 of `render_normals`, the same faces to the
+    last pixel; V and F >= 1 are dynamic, the camera and H, W are in the file. Faces must name vertices that exist and
+    vertices must be finite: a graph cannot check. Tracing takes about half a minute.
+
+    ``"shaded_mesh"`` also takes ``light`` (K, 3) in the camera frame, ``albedo`` (C,) and ``roughness`` (1,) and
+    returns ``shading`` (K, C, H, W) before those; K and C are dynamic.
+
+    All float32, linear light, roughness in radians; opset 18. Meaning and units are in the file's metadata.
 
     Args:
-        what: ``"shading"``.
+        what: ``"shading"``, ``"renderer"`` or ``"shaded_mesh"``.
         path: the file; it appears whole and verified, or not at all.
-        model: a name in ``MODELS``, registered ones too.
-        per_pixel_directions: light and view as maps.
+        model: a name in ``MODELS``, registered ones too; ``"renderer"`` uses none.
+        per_pixel_directions: light and view as maps (``"shading"``).
+        camera: one camera (``"renderer"``, ``"shaded_mesh"``).
+        size: (H, W) of the pictures (the same).
 
     Returns:
         ``path``.
 
     Raises:
-        ExportError: unknown ``what``, a model that does not export, or a graph that differs from torch by
-            more than 1e-5.
+        ExportError: unknown ``what``, no camera or size where one is needed, a model that does not export, or a graph
+            that differs from torch: in a face at all, in other values by more than 1e-5 and float32's rounding.
         ModelError: unknown model.
 
     Example:
@@ -56,22 +75,61 @@ def export_onnx(
         >>> path.stat().st_size > 0
         True
     """
-    if what != "shading":
-        raise ExportError("what", expected="'shading'", got=repr(what), mend="no other graph can be exported yet")
-    name = get_model(model).name
-    # The last one takes two bands of rows.
-    sizes = ((2, 3, 5, 7), (1, 1, 1, 1), (3, 1, 4, 9), (2, 2, 16, 3), (1, 1, 300, BAND // 200))
-    trials = [_shading_inputs(*size, seed, per_pixel_directions) for seed, size in enumerate(sizes)]
-    trials += [_broadcast(trials[0]), _broadcast(trials[-1])]
-    graph = shading_graph(name, per_pixel=per_pixel_directions)
-    _describe(graph, name)
+    if what == "shading":
+        task = _shading_task(get_model(model).name, per_pixel_directions)
+    elif what in ("renderer", "shaded_mesh"):
+        if camera is None or size is None or len(camera.eye) != 1:
+            got = "none" if camera is None or size is None else f"{len(camera.eye)} cameras"
+            raise ExportError("camera, size", expected="one camera and (H, W)", got=got, mend="give camera= and size=")
+        camera.rays(size)  # raises where they do not fit
+        task = _renderer_task(Renderer(camera, size, get_model(model).name if what == "shaded_mesh" else None))
+    else:
+        expected = "'shading', 'renderer' or 'shaded_mesh'"
+        raise ExportError("what", expected=expected, got=repr(what), mend="choose one")
+    _describe(task.graph, {"graph": what} | task.meaning)
     target = Path(path)
     with atomic_path(target) as temporary:
         import onnx
 
-        onnx.save(graph, temporary)
-        _verify(temporary, name, trials)
+        onnx.save(task.graph, temporary)
+        _verify(temporary, task)
     return target
+
+
+class _Task(NamedTuple):
+    """A graph, what it means, and what it must compute: float32 ``function`` of ``trials``, exact in integers."""
+
+    graph: onnx.ModelProto
+    meaning: dict[str, str]
+    inputs: tuple[str, ...]
+    trials: list[tuple[Tensor, ...]]
+    function: Callable[..., tuple[Tensor, ...]]
+
+
+def _shading_task(name: str, per_pixel: bool) -> _Task:
+    # The last one takes two bands of rows.
+    sizes = ((2, 3, 5, 7), (1, 1, 1, 1), (3, 1, 4, 9), (2, 2, 16, 3), (1, 1, 300, BAND // 200))
+    trials = [_shading_inputs(*size, seed, per_pixel) for seed, size in enumerate(sizes)]
+    trials += [_broadcast(trials[0]), _broadcast(trials[-1])]
+    meaning = _shading_meaning(name) | {"axes": "every axis of size 1 broadcasts"}
+    graph = shading_graph(name, per_pixel=per_pixel)
+    return _Task(graph, meaning, INPUTS, trials, lambda *inputs: (oren_nayar(*inputs, model=name),))
+
+
+def _renderer_task(renderer: Renderer) -> _Task:
+    camera, (height, width) = renderer.camera, renderer.size
+    kind = "perspective" if camera.is_perspective else "orthographic"
+    meaning = {
+        "camera": f"{kind}, eye {camera.eye[0].tolist()}, rotation {camera.rotation[0].tolist()}, "
+        f"focal {camera.focal[0].tolist()} and centre {camera.centre[0].tolist()} in half image heights",
+        "size": f"{height} x {width}",
+        "depth": "distance along the viewing axis, infinite where nothing is seen",
+        "face": "index of the visible face, -1 for none",
+    }
+    if renderer.model is not None:
+        meaning |= _shading_meaning(renderer.model)
+    inputs = renderer_inputs(renderer.model)
+    return _Task(renderer_graph(renderer), meaning, inputs, renderer_trials(renderer), renderer)
 
 
 def describe_onnx(path: str | os.PathLike[str]) -> dict[str, Any]:
@@ -138,52 +196,43 @@ def _broadcast(inputs: tuple[Tensor, ...]) -> tuple[Tensor, ...]:
     return inputs[0], *(t[:1, :, :1, :1].contiguous() for t in inputs[1:])
 
 
-def _describe(graph: onnx.ModelProto, model: str) -> None:
+def _shading_meaning(model: str) -> dict[str, str]:
+    return {
+        "model": model,
+        "source": get_model(model).source,
+        "directions": "unit, away from the surface: light to the source, view to the camera",
+        "roughness": "standard deviation of the facet slope angle, radians, 0 to pi/2",
+        "shading": "pi f_r max(0, n.l), linear light; a white Lambertian pixel facing the light is 1",
+    }
+
+
+def _describe(graph: onnx.ModelProto, meaning: dict[str, str]) -> None:
     """Write meaning and units into the file."""
     import onnx
 
-    onnx.helper.set_model_props(
-        graph,
-        {
-            "torch_orennayar": __version__,
-            "graph": "shading",
-            "model": model,
-            "source": get_model(model).source,
-            "frame": "camera: x right, y up, z toward the viewer; row 0 is the top",
-            "directions": "unit, away from the surface: light to the source, view to the camera",
-            "roughness": "standard deviation of the facet slope angle, radians, 0 to pi/2",
-            "shading": "pi f_r max(0, n.l), linear light; a white Lambertian pixel facing the light is 1",
-            "axes": "every axis of size 1 broadcasts",
-        },
-    )
+    frame = "camera: x right, y up, z toward the viewer; row 0 is the top"
+    onnx.helper.set_model_props(graph, {"torch_orennayar": __version__, "frame": frame} | meaning)
     graph.producer_name = "torch_orennayar"
     graph.producer_version = __version__
 
 
-def _verify(file: Path, model: str, trials: list[tuple[Tensor, ...]]) -> None:
-    """ONNX Runtime's answers against torch's at several sizes."""
+def _verify(file: Path, task: _Task) -> None:
+    """ONNX Runtime's answers against torch's on every trial, twice."""
     import onnx
     import onnxruntime
 
     try:
         onnx.checker.check_model(str(file), full_check=True)
         session = onnxruntime.InferenceSession(str(file), providers=["CPUExecutionProvider"])
-        for trial in trials:
-            feeds = {name: value.numpy() for name, value in zip(INPUTS, trial, strict=True)}
-            (answer,) = session.run(None, feeds)
-            wanted = oren_nayar(*(t.double() for t in trial), model=model)
-            shape = tuple(wanted.shape)
-            # What float32 itself costs a formula shows in torch: a runtime may round as far in other places.
-            rounding = (oren_nayar(*trial, model=model) - wanted).abs().max().item()
-            allowed = TOLERANCE * (1 + wanted.abs()) + 4 * rounding
-            difference = (torch.from_numpy(answer) - wanted).abs() if answer.shape == shape else allowed + math.inf
-            if not bool((difference <= allowed).all()):
-                raise ExportError(
-                    "graph",
-                    expected=f"torch's values within {TOLERANCE:g} and rounding at size {shape}",
-                    got=f"shape {answer.shape}, difference {difference.max().item():g}",
-                    mend="if the model is your own, look for steps that lose float32's digits; otherwise report it",
-                )
+        for trial in task.trials:
+            feeds = {name: value.numpy() for name, value in zip(task.inputs, trial, strict=True)}
+            answers, again = session.run(None, feeds), session.run(None, feeds)
+            wanted = task.function(*trial)
+            exact = task.function(*(t.double() if t.is_floating_point() else t for t in trial))
+            for name, *values in zip(
+                (o.name for o in session.get_outputs()), answers, again, wanted, exact, strict=True
+            ):
+                _compare(name, *(torch.as_tensor(v) for v in values))
     except ExportError:
         raise
     except Exception as error:  # checker and runtime errors share no base
@@ -193,3 +242,25 @@ def _verify(file: Path, model: str, trials: list[tuple[Tensor, ...]]) -> None:
             got=f"{type(error).__name__}: {error}",
             mend="report this with the versions that `orennayar info` prints",
         ) from error
+
+
+def _compare(name: str, answer: Tensor, again: Tensor, wanted: Tensor, exact: Tensor) -> None:
+    """What float32 itself costs shows in torch, ``wanted`` against ``exact``: a runtime may round as far elsewhere."""
+    if answer.shape != exact.shape:
+        difference, allowed = f"shape {tuple(answer.shape)}", False
+    elif not answer.is_floating_point():
+        wrong = int((answer != wanted).sum())
+        difference, allowed = f"{wrong} other values", wrong == 0
+    else:
+        exact = torch.where(exact == wanted, wanted, exact)  # infinite where nothing is seen
+        rounding = (wanted - exact).nan_to_num(0.0).abs().max().item()
+        error = torch.where(answer == exact, 0.0, (answer - exact).abs())
+        limit = TOLERANCE * (1 + exact.abs().nan_to_num(posinf=0.0)) + 4 * rounding
+        difference, allowed = f"difference {error.max().item():g}", bool((error <= limit).all())
+    if not allowed or not torch.equal(answer.nan_to_num(), again.nan_to_num()):
+        raise ExportError(
+            "graph",
+            expected=f"torch's {name} within {TOLERANCE:g} and rounding, shape {tuple(exact.shape)}, and no change",
+            got=difference if not allowed else "another answer in a second run",
+            mend="if the model is your own, look for steps that lose float32's digits; otherwise report it",
+        )

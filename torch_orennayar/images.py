@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -120,6 +121,58 @@ def write_image(path: str | os.PathLike[str], image: Tensor, *, bits: int = 8) -
         raise FileError(str(file), expected="a .png or .tiff name", got=file.suffix or "no suffix", mend="rename it")
     with atomic_path(file) as temporary:
         temporary.write_bytes(data.tobytes())
+
+
+ANIMATIONS = frozenset({".gif", ".mp4"})
+
+
+def write_animation(path: str | os.PathLike[str], frames: Sequence[Tensor], *, rate: int = 12) -> None:
+    """Write pictures in a row as a GIF that repeats, or as an MP4.
+
+    Args:
+        path: a .gif or .mp4 name; the file appears whole or not at all.
+        frames: (1|3, H, W) in [0, 1] each, as they are shown: no curve is applied. MP4 needs even H and W.
+        rate: frames a second.
+
+    Raises:
+        ShapeError: no frames, not (1|3, H, W), or sizes that differ.
+        FileError: another suffix, or the place cannot be written.
+    """
+    file = Path(path)
+    if file.suffix.lower() not in ANIMATIONS:
+        raise FileError(str(file), expected="a .gif or .mp4 name", got=file.suffix or "no suffix", mend="rename it")
+    shapes = {tuple(f.shape[1:]) for f in frames}
+    if len(shapes) != 1 or any(f.ndim != 3 or f.shape[0] not in (1, 3) for f in frames):
+        raise ShapeError(
+            "frames", expected="(1|3, H, W) all of one size", got=str([tuple(f.shape) for f in frames[:3]]), mend="fix"
+        )
+    pixels = [(f.detach().cpu().expand(3, -1, -1).clamp(0, 1) * 255).round().byte().permute(1, 2, 0) for f in frames]
+    with atomic_path(file) as temporary:
+        if file.suffix.lower() == ".gif":
+            _write_gif(temporary, pixels, rate)
+        else:
+            _write_mp4(temporary, pixels, rate)
+
+
+def _write_gif(path: Path, pixels: Sequence[Tensor], rate: int) -> None:
+    import PIL.Image
+
+    # One palette for all, or colours flicker.
+    strip = PIL.Image.fromarray(torch.cat(list(pixels)[:: max(1, len(pixels) // 8)]).numpy()).quantize(256)
+    pictures = [PIL.Image.fromarray(p.numpy()).quantize(palette=strip) for p in pixels]
+    pictures[0].save(path, save_all=True, append_images=pictures[1:], duration=round(1000 / rate), loop=0)
+
+
+def _write_mp4(path: Path, pixels: Sequence[Tensor], rate: int) -> None:
+    import cv2
+
+    height, width = pixels[0].shape[:2]
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), rate, (width, height))
+    if not writer.isOpened():
+        raise FileError(str(path), expected="an OpenCV that writes MP4", got="one that does not", mend="write a .gif")
+    for picture in pixels:
+        writer.write(picture.numpy()[..., ::-1].copy())
+    writer.release()
 
 
 def srgb_to_linear(image: Tensor) -> Tensor:

@@ -79,9 +79,9 @@ def _seen(face: Tensor, count: int) -> tuple[Tensor, Tensor]:
 def _table(surface: Surface, faces: Tensor, seen: Tensor, size: tuple[int, int], perspective: bool) -> Tensor:
     """A column per face.
 
-    Rows: change along x, along y, and value in the middle of the image of two weights (over w, and 1 / w itself, if
-    perspective); depth, then smooth normals, at the first corner; their differences to the second and to the third;
-    the face's own normal.
+    Rows: a pixel centre near the face, x and y; change along x, along y, and value there of two weights (over w, and
+    1 / w itself, if perspective); depth, then smooth normals, at the first corner; their differences to the second and
+    to the third; the face's own normal.
     """
     count = max(faces.shape[0], 1)
     view = seen // count
@@ -100,9 +100,9 @@ def _table(surface: Surface, faces: Tensor, seen: Tensor, size: tuple[int, int],
     weight = edge[:, 1:] * inverse
     if perspective:
         weight = torch.cat((weight, (edge.sum(1, keepdim=True) * inverse)), 1)
-    middle = weight[0] * (size[1] / 2) + weight[1] * (size[0] / 2) + weight[2]
-    centre = weight.new_tensor((1 / 3, 1 / 3, 1.0)[: len(middle)])[:, None]
-    middle = torch.where(thin, centre, middle)
+    near = _pixel_near(image, size)
+    value = weight[0] * near[0] + weight[1] * near[1] + weight[2]
+    value = torch.where(thin, weight.new_tensor((1 / 3, 1 / 3, 1.0)[: len(value)])[:, None], value)
     side = 1 - 2 * (volume > 0).to(volume)  # corners run counter-clockwise from the front, and rows go down
     flat = _cross(place[:, 1] - place[:, 0], place[:, 2] - place[:, 0]) * side
     flat = flat * _square(flat).clamp_min(1e-300).rsqrt()
@@ -111,12 +111,21 @@ def _table(surface: Surface, faces: Tensor, seen: Tensor, size: tuple[int, int],
         normal = gather(surface.normals)
         values = torch.cat((values, normal if surface.as_given else normal * side))
     first = values[:, 0]
-    return torch.cat((weight[0], weight[1], middle, first, values[:, 1] - first, values[:, 2] - first, flat))
+    return torch.cat((near, weight[0], weight[1], value, first, values[:, 1] - first, values[:, 2] - first, flat))
+
+
+def _pixel_near(image: Tensor, size: tuple[int, int]) -> Tensor:
+    """A pixel centre (2, N) close to every face, from which small numbers reach its pixels."""
+    limit = image.new_tensor((size[1], size[0]))[:, None] - 0.5
+    ahead = image[2] > 0
+    place = image[:2] / torch.where(ahead, image[2], 1.0)
+    inside = torch.where(ahead, place, torch.inf).detach().amin(1).floor() + 0.5
+    return torch.minimum(inside.clamp_min(0.5), limit)
 
 
 def _nothing(smooth: bool, perspective: bool, like: Tensor) -> Tensor:
     """The table's column of a pixel that sees nothing: infinite depth, and no division by 0."""
-    rows = [0.0] * (8 if perspective else 6) + [1.0] * perspective
+    rows = [0.0] * (10 if perspective else 8) + [1.0] * perspective
     rows += [torch.inf, 0.0, 0.0, 1.0] + [0.0] * 8 if smooth else [torch.inf, 0.0, 0.0]
     return like.new_tensor([*rows, 0.0, 0.0, 0.0])[:, None]
 
@@ -127,14 +136,14 @@ def _cross(a: Tensor, b: Tensor) -> Tensor:
 
 
 def _grid(rows: slice, size: tuple[int, int], like: Tensor) -> tuple[Tensor, Tensor]:
-    """Columns (W,) and ``rows`` (R, 1) of pixel centres, from the middle of the image; rows count through all views."""
+    """Columns (W,) and ``rows`` (R, 1) of pixel centres; rows count through all views."""
     height, width = size
-    x = torch.arange(width, device=like.device, dtype=like.dtype) + (0.5 - width / 2)
+    x = torch.arange(width, device=like.device, dtype=like.dtype) + 0.5
     if rows == slice(None):
         y = torch.arange(height, device=like.device, dtype=like.dtype)
     else:
         y = (torch.arange(rows.start, rows.stop, device=like.device) % height).to(like.dtype)
-    return x, (y + (0.5 - height / 2))[:, None]
+    return x, (y + 0.5)[:, None]
 
 
 def _values(
@@ -153,9 +162,9 @@ def _values(
         return torch.index_select(rows, 1, index, out=out).view(-1, len(y), len(x))
 
     columns = look_up(table[:-3], None if space is None else space[:, : index.shape[0]])
-    along, down, middle, *corners = columns.split((planes, planes, planes, width, width, width))
+    near, along, down, value, *corners = columns.split((2, planes, planes, planes, width, width, width))
     hit = (index < table.shape[1] - 1).view(len(y), len(x)).to(table.dtype)
-    weight = torch.addcmul(torch.addcmul(middle, along, x), down, y)
+    weight = torch.addcmul(torch.addcmul(value, along, x - near[0]), down, y - near[1])
     if perspective:
         weight = weight[:2] / weight[2]
     weight = weight.clamp_min(0)

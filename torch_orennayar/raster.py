@@ -73,11 +73,12 @@ def visible_faces(
     height, width = size
     best = torch.full((views * height * width,), EMPTY, device=faces.device)
     if exporting() or faces.shape[0]:
+        if exporting():  # not a constant, or the file would hold it
+            best = (faces[0, 0] * 0 + EMPTY).expand(best.shape[0]).clone()
         scale = _depth_scale(points, faces, near)
         snapped = _snap(points, near, scale)
         for corner, face, view in _chunks(faces, views, count):
-            _draw(best, snapped, corner, face, view * (height * width), size, cull)
-            _draw_cut(best, points, snapped, corner, face, view, size, near, scale, cull)
+            _draw_all(best, points, snapped, (corner, face, view), size, near, scale, cull)
     shown = best.reshape(views, -1) & ((1 << FACE_BITS) - 1)
     return shown.clamp_max(faces.shape[0])
 
@@ -128,24 +129,26 @@ def _depth_key(order: Tensor, scale: tuple[Tensor, Tensor]) -> Tensor:
     return ((order - scale[0]) * scale[1]).round().long() + MARGIN
 
 
-def _draw_cut(
+def _draw_all(
     best: Tensor,
     points: Projected,
     snapped: _Corners,
-    corner: Tensor,
-    face: Tensor,
-    view: Tensor,
+    chunk: tuple[Tensor, Tensor, Tensor],
     size: tuple[int, int],
     near: float | None,
     scale: tuple[Tensor, Tensor],
     cull: str | None,
 ) -> None:
-    """Draw the faces that have a corner behind the near plane or far outside the image."""
+    """Draw a chunk of faces; those with a corner behind the near plane or far outside the image are cut first."""
+    corner, face, view = chunk
+    area = size[0] * size[1]
     broken = snapped.x[corner].isnan().any(0)
-    if not exporting() and not bool(broken.any()):
-        return
+    if not exporting():
+        _draw(best, snapped, corner, face, view * area, size, cull)
+        if not bool(broken.any()):
+            return
     owner = broken.nonzero().reshape(-1)
-    index = corner[:, owner].T  # (N, 3)
+    index = corner.index_select(1, owner).T  # (N, 3)
     corners, owner = clip(torch.stack([p.reshape(-1)[index] for p in points], 2), owner, near)
     x, y, w, depth = corners.unbind(2)
     low, factor = (s.reshape(-1)[view[owner]][:, None] for s in scale)
@@ -154,9 +157,13 @@ def _draw_cut(
         (y / w * GRID).round().float().reshape(-1),
         _depth_key(_order(depth, near), (low, factor)).reshape(-1),
     )
-    corner = torch.arange(pieces.x.shape[0], device=best.device).reshape(-1, 3).T
-    height, width = size
-    _draw(best, pieces, corner, face[owner], view[owner] * (height * width), size, cull)
+    corner_of_piece = torch.arange(pieces.x.shape[0], device=best.device).reshape(-1, 3).T
+    face_of_piece, view_of_piece = face[owner], view[owner]
+    if exporting():  # pieces behind the whole ones: one list makes a graph half as large
+        pieces = _Corners(*(torch.cat(pair) for pair in zip(snapped, pieces, strict=True)))
+        corner_of_piece = torch.cat((corner, corner_of_piece + snapped.x.shape[0]), 1)
+        face_of_piece, view_of_piece = torch.cat((face, face_of_piece)), torch.cat((view, view_of_piece))
+    _draw(best, pieces, corner_of_piece, face_of_piece, view_of_piece * area, size, cull)
 
 
 def _least(t: Tensor) -> Tensor:
@@ -189,7 +196,8 @@ def _draw(
         turn = 1.0 if cull == "back" else -1.0
         area = (x[1] - x[0]) * (y[2] - y[0]) - (y[1] - y[0]) * (x[2] - x[0])
         drawn &= (area * turn < 0) | ~exact
-    for chosen, dtype in ((drawn & exact, torch.float32), (drawn & ~exact, torch.float64)):
+    kinds = ((drawn & exact, torch.float32), (drawn & ~exact, torch.float64))
+    for chosen, dtype in ((drawn, torch.float64),) if exporting() else kinds:
         index = chosen.nonzero().reshape(-1)
         if not exporting() and not index.shape[0]:
             continue
@@ -251,16 +259,22 @@ def _spans(
     stop = torch.minimum(stop, (width - left).to(dtype))
     height = (end - row).to(dtype) * (area.abs().clamp_max_(1) if cull is None else _shown(area, cull))
     number = stop.sub_(begin).clamp_min_(0).mul_((height - rows).clamp_(0, 1)).to(torch.int32)
-    # The plane of depth, from the first corner's.
-    z1, z2 = (z[1] - z[0]).to(dtype), (z[2] - z[0]).to(dtype)
+    depth, step = _depths(x.double(), y.double(), z, begin, rows)
+    return _Spans(begin, number, depth, step)
+
+
+def _depths(x: Tensor, y: Tensor, z: Tensor, begin: Tensor, rows: Tensor) -> tuple[Tensor, Tensor]:
+    """Depth at the column ``begin`` of every row, within the face's own range, and its step to the right."""
+    x1, x2, y1, y2 = x[1] - x[0], x[2] - x[0], y[1] - y[0], y[2] - y[0]
+    z1, z2 = (z[1] - z[0]).double(), (z[2] - z[0]).double()
+    area = x1 * y2 - y1 * x2
     inverse = torch.ones_like(area).div_(area + (area == 0))  # a quotient: runtimes approximate reciprocals
-    along = (z2 * dy[0]).add_(z1 * dy[2]).mul_(inverse).neg_()
-    down = (z2 * dx[0]).add_(z1 * dx[2]).mul_(inverse)
+    along = (z1 * y2).sub_(z2 * y1).mul_(inverse)
+    down = (z2 * x1).sub_(z1 * x2).mul_(inverse)
     depth = ((down * GRID) * rows).add_((along * GRID) * begin).sub_((along * x[0]).add_(down * y[0]))
     low, high = torch.minimum(z1, z2).clamp_max_(0), torch.maximum(z1, z2).clamp_min_(0)
     depth = torch.minimum(torch.maximum(depth, low), high).round_().long().add_(z[0])
-    step = (along * GRID).round_().clamp_(-(2.0**DEPTH_BITS), 2.0**DEPTH_BITS).long()
-    return _Spans(begin, number, depth, step)
+    return depth, (along * GRID).round_().clamp_(-(2.0**DEPTH_BITS), 2.0**DEPTH_BITS).long()
 
 
 def _shown(area: Tensor, cull: str) -> Tensor:

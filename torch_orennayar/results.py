@@ -94,16 +94,22 @@ def write_reconstruction(
     return Written(Path(folder), numbers)
 
 
-def write_render(folder: str | os.PathLike[str], seen: NormalMap, pictures: Mapping[str, Tensor]) -> None:
+def write_render(
+    folder: str | os.PathLike[str],
+    seen: NormalMap,
+    pictures: Mapping[str, Tensor],
+    lights: Mapping[str, Tensor] | None = None,
+) -> None:
     """Write one rendered view: normals, depth, mask, the last picture by itself, and all on a sheet.
 
     ``normal.png`` (16-bit, green up), ``normal.npy``, ``depth.npy`` (infinite outside the mask),
-    ``mask.png``, ``shaded.png`` (sRGB), ``sheet.png``; together or not at all.
+    ``mask.png``, ``shaded.png`` (sRGB), ``sheet.png``, ``lights.png``; together or not at all.
 
     Args:
         folder: made if need be; files of other names in it stay.
         seen: a `NormalMap` of one view.
         pictures: caption to linear light (1|3, H, W).
+        lights: the same for a second sheet, or None.
 
     Raises:
         FileError: the place cannot be written.
@@ -117,6 +123,10 @@ def write_render(folder: str | os.PathLike[str], seen: NormalMap, pictures: Mapp
         write_image(temporary / "mask.png", mask.float())
         write_image(temporary / "shaded.png", linear_to_srgb(list(pictures.values())[-1]))
         save_sheet(temporary / "sheet.png", [sheet])
+        if lights:
+            shown = [(name, show_light(p, mask)) for name, p in lights.items()]
+            columns = min(6, len(shown))
+            save_sheet(temporary / "lights.png", [dict(shown[k : k + columns]) for k in range(0, len(shown), columns)])
 
 
 def _stretch(albedo: Tensor, mask: Tensor) -> tuple[Tensor, float]:

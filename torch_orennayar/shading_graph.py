@@ -39,6 +39,7 @@ class Formula(nn.Module):
         self.function = function
 
     def forward(self, ci: Tensor, co: Tensor, lv: Tensor, albedo: Tensor, roughness: Tensor) -> Tensor:
+        """Cosines of light and view to the normal and to each other in, shading out."""
         value = above_horizon(self.function, ci, co, lv, albedo, roughness)
         return torch.where(facing_both(ci, co), value * ci, 0.0)
 
