@@ -179,6 +179,31 @@ def rasterise_exactly(
     return [-1 if b is None else b[1] for b in best], tied
 
 
+def cover_by_edges(image: np.ndarray, size: tuple[int, int], *, grid: int = 256) -> np.ndarray:
+    """All (face, pixel) pairs of triangles (F, 3, 2) in pixels, sorted: edge functions in whole numbers, box by box."""
+    points = np.rint(image * grid).astype(np.int64)
+    a, b, c = points[:, 0], points[:, 1], points[:, 2]
+    area = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
+    points = np.where((area < 0)[:, None, None], points[:, ::-1], points)
+    low = np.maximum(points.min(1) // grid, 0)
+    high = np.minimum(points.max(1) // grid + 1, [size[1], size[0]])
+    span = np.maximum(high - low, 0) * (area != 0)[:, None]
+    count = span[:, 0] * span[:, 1]
+    face = np.repeat(np.arange(len(points)), count)
+    offset = np.arange(len(face)) - np.repeat(count.cumsum() - count, count)
+    column, row = low[face, 0] + offset % span[face, 0], low[face, 1] + offset // span[face, 0]
+    inside = np.ones(len(face), bool)
+    for k in range(3):
+        start, end = points[face, (k + 1) % 3], points[face, (k + 2) % 3]
+        edge = end - start
+        value = edge[:, 0] * (row * grid + grid // 2 - start[:, 1]) - edge[:, 1] * (
+            column * grid + grid // 2 - start[:, 0]
+        )
+        owned = (edge[:, 1] < 0) | ((edge[:, 1] == 0) & (edge[:, 0] > 0))
+        inside &= (value > 0) | ((value == 0) & owned)
+    return np.stack((face, row * size[1] + column), 1)[inside]
+
+
 def vcavity_traced(
     ti: float,
     to: float,

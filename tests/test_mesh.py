@@ -8,7 +8,16 @@ import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 
-from torch_orennayar import Camera, FileError, RangeError, ShapeError, load_mesh, render_normals, save_mesh
+from torch_orennayar import (
+    Camera,
+    FileError,
+    RangeError,
+    ShapeError,
+    load_mesh,
+    render_normals,
+    save_mesh,
+    vertex_normals,
+)
 from torch_orennayar.mesh import depth_to_mesh, normalise_mesh
 
 
@@ -102,3 +111,29 @@ def test_heights_in_pixels_make_a_mesh_in_pixels() -> None:
     assert vertices[0].tolist() == [-1.0, 0.5, 0.0]
     assert vertices[5].tolist() == [1.0, -0.5, 5.0]
     assert len(faces) == 4
+
+
+def test_vertex_normals_are_exact_on_a_sphere_however_it_is_cut() -> None:
+    """Points in irregular places; weights by angle would err."""
+    points = torch.nn.functional.normalize(
+        torch.randn(400, 3, generator=torch.Generator().manual_seed(0)).double(), dim=1
+    )
+    hull = trimesh.convex.convex_hull(points.numpy())
+    vertices, faces = torch.tensor(hull.vertices), torch.tensor(hull.faces)
+    if hull.volume < 0:
+        faces = faces.flip(1)
+    for scale in (1e-6, 1.0, 1e6):
+        normals = vertex_normals(vertices * scale, faces)
+        assert torch.allclose(normals, vertices, atol=1e-9)
+    assert torch.allclose(
+        vertex_normals(torch.stack((vertices, -vertices)), faces)[1], vertices, atol=1e-9
+    )  # inside out
+
+
+def test_vertices_without_area_have_no_normal_and_finite_gradients() -> None:
+    vertices = torch.tensor([[0.0, 0, 0], [1, 0, 0], [2, 0, 0], [0, 0, 0]], requires_grad=True)
+    normals = vertex_normals(vertices, torch.tensor([[0, 1, 2], [0, 3, 1], [1, 1, 1]]))
+    assert (normals == 0).all()
+    normals.sum().backward()
+    assert vertices.grad is not None
+    assert vertices.grad.isfinite().all()

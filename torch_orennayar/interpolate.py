@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from .mesh import unit_or_zero
 from .raster import exporting
 
 TILE = 1 << 15
@@ -105,7 +106,7 @@ def _table(surface: Surface, faces: Tensor, seen: Tensor, size: tuple[int, int],
     value = torch.where(thin, weight.new_tensor((1 / 3, 1 / 3, 1.0)[: len(value)])[:, None], value)
     side = 1 - 2 * (volume > 0).to(volume)  # corners run counter-clockwise from the front, and rows go down
     flat = _cross(place[:, 1] - place[:, 0], place[:, 2] - place[:, 0]) * side
-    flat = flat * _square(flat).clamp_min(1e-300).rsqrt()
+    flat = unit_or_zero(flat, 0)
     values = -place[2:]
     if surface.normals is not None:
         normal = gather(surface.normals)

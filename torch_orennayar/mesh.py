@@ -128,8 +128,15 @@ def vertex_normals(vertices: Tensor, faces: Tensor) -> Tensor:
     weight = (product > 0) / torch.where(product > 0, product, 1)
     parts = (area[:, :, None] * weight[:, None]).flatten(2)
     total = torch.zeros_like(points).scatter_add(2, index.expand_as(parts), parts)
-    unit = torch.nn.functional.normalize(total, dim=1, eps=1e-300).transpose(1, 2).to(vertices.dtype)
+    unit = unit_or_zero(total, 1).transpose(1, 2).to(vertices.dtype)
     return unit if vertices.ndim == 3 else unit[0]
+
+
+def unit_or_zero(vectors: Tensor, dim: int) -> Tensor:
+    """Vectors of length 1; those of length 0 stay 0, with gradient 0."""
+    square = vectors.square().sum(dim, keepdim=True)
+    there = (square > 0).to(vectors)
+    return vectors * (there / (square + (1 - there)).sqrt())
 
 
 def normalise_mesh(vertices: Tensor) -> Tensor:

@@ -11,6 +11,7 @@ from ._checks import check_floating
 from .camera import Camera
 from .errors import RangeError, ShapeError
 from .interpolate import Surface, interpolate
+from .mesh import unit_or_zero
 from .mesh import vertex_normals as mesh_normals
 from .raster import FACE_BITS, Projected, visible_faces
 
@@ -173,8 +174,7 @@ def _unit_normals(world: Tensor, faces: Tensor, given: Tensor | None, camera: Ca
     if given is None:
         normals = mesh_normals(world.double(), faces)
     else:
-        given = given.double().reshape(-1, *given.shape[-2:])
-        normals = torch.nn.functional.normalize(given, dim=2, eps=1e-300)
+        normals = unit_or_zero(given.double().reshape(-1, *given.shape[-2:]), 2)
     return normals @ camera.rotation.to(normals).transpose(1, 2)
 
 
