@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import PIL.Image
 import pytest
 import torch
 
@@ -117,6 +118,7 @@ def test_export_and_info(orennayar: object, tmp_path: Path) -> None:
         (("stereo", "absent"), "nothing there"),
         (("render", "absent.obj"), "nothing there"),
         (("render", "absent.obj", "--model", "phong"), "expected one of"),
+        (("render", "absent.obj", "--turntable", "walk.avi"), "gif"),
         (("render", "absent.obj", "--light", 0, 0, 0), "direction"),
         (("export", "graph.onnx", "--model", "phong"), "expected one of"),
         (("stereo", "absent", "--least-squares", "--model", "vcavity"), "leave one"),
@@ -152,3 +154,16 @@ def test_interruption_is_one_line(orennayar: object, monkeypatch: pytest.MonkeyP
     assert result.status == 130
     assert "interrupted" in result.err
     assert list(tmp_path.iterdir()) == []
+
+
+def test_render_walks_around_under_many_lights(orennayar: object, tmp_path: Path) -> None:
+    vertices, faces = make_object()
+    save_mesh(tmp_path / "ball.ply", vertices, faces)
+    out, walk = tmp_path / "out", tmp_path / "walk.gif"
+    result = orennayar(  # type: ignore[operator]
+        "render", tmp_path / "ball.ply", "-o", out, "--size", 33, "--lights", 7, "--turntable", walk, "--frames", 5
+    )
+    assert result.status == 0, result.err
+    with PIL.Image.open(walk) as gif:
+        assert (gif.n_frames, gif.size) == (5, (34, 34))
+    assert read_image(out / "lights.png").shape[0] > 0

@@ -54,6 +54,22 @@ def test_the_way_back_from_integration() -> None:
     assert angular_error(again, normal, torch.ones(1, 60, 60, dtype=torch.bool)).summary()["mean"] < 0.3
 
 
+@pytest.mark.parametrize("camera", [Camera.orthographic(1.2), Camera.perspective(0.8)], ids=["o", "p"])
+def test_the_way_back_through_a_camera(camera: Camera) -> None:
+    ball = trimesh.creation.icosphere(4)
+    seen = render_normals(torch.tensor(ball.vertices), torch.tensor(ball.faces), camera, (60, 60))
+    inner = seen.mask[0] & (seen.normal[0, 2:] > 0.4)
+    again = depth_to_normals(integrate_normals(seen.normal[0], inner, camera=camera), mask=inner, camera=camera)
+    assert angular_error(again, seen.normal[0], inner).summary()["mean"] < 1.5
+
+
+@pytest.mark.parametrize("scale", [1e-20, 1e20])
+def test_units_do_not_matter(scale: float) -> None:
+    depth = (3 + torch.rand(1, 1, 5, 5, generator=torch.Generator().manual_seed(0))) * scale
+    found = depth_to_normals(depth, camera=Camera.perspective(0.8))
+    assert torch.allclose(found.norm(dim=1), torch.ones(1, 5, 5))
+
+
 def test_kornia_agrees_inside() -> None:
     camera = Camera.perspective(0.9)
     row, column = torch.meshgrid(torch.linspace(-1, 1, 40), torch.linspace(-1, 1, 50), indexing="ij")
@@ -83,4 +99,8 @@ def test_shapes() -> None:
         depth_to_normals(torch.zeros(4, 5))
     with pytest.raises(ShapeError, match="mask"):
         depth_to_normals(torch.zeros(1, 4, 5), mask=torch.ones(1, 4, 4, dtype=torch.bool))
+    with pytest.raises(ShapeError, match="mask"):
+        depth_to_normals(torch.zeros(1, 4, 5), mask=torch.ones(1, 4, 5))
+    with pytest.raises(ShapeError, match="camera"):
+        depth_to_normals(torch.zeros(1, 4, 5), camera=Camera.orthographic(torch.ones(3)))
     assert (depth_to_normals(torch.zeros(1, 1, 1)) == 0).all()

@@ -7,18 +7,24 @@ import onnxruntime
 import pytest
 import torch
 import torch.nn.functional as F
+import trimesh
 
 from torch_orennayar import (
     MODELS,
+    Camera,
     ExportError,
     ModelError,
+    OrenNayar,
     export,
     export_onnx,
+    load_mesh,
     oren_nayar,
     register_model,
+    render_normals,
     shading_graph,
 )
 from torch_orennayar.export import describe_onnx
+from torch_orennayar.mesh import normalise_mesh
 from torch_orennayar.reflectance import ModelFunction, _models
 
 
@@ -156,6 +162,84 @@ def test_a_graph_that_differs_is_not_left_behind(tmp_path: Path, monkeypatch: py
     with pytest.raises(ExportError, match="difference"):
         export_onnx("shading", tmp_path / "graph.onnx", model="lambert")
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.fixture(scope="module", params=["orthographic", "perspective"])
+def renderer(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Path, Camera]:
+    """A renderer, and a renderer with shading behind it; at a size whose maps would not fit into the file."""
+    path = tmp_path_factory.mktemp("graph") / f"{request.param}.onnx"
+    if request.param == "orthographic":
+        camera = Camera.orthographic(1.05, (0.5, 0.6, 2.0))
+        return "renderer", export_onnx("renderer", path, camera=camera, size=SIZE), camera
+    camera = Camera.perspective(1.6, (0.3, 0.4, 1.1))
+    return "shaded_mesh", export_onnx("shaded_mesh", path, camera=camera, size=SIZE, model="vcavity"), camera
+
+
+SIZE = (384, 512)
+
+
+def render(path: Path, *inputs: torch.Tensor, threads: int = 0) -> dict[str, torch.Tensor]:
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = threads
+    session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+    names = [i.name for i in session.get_inputs()]
+    answers = session.run(None, {n: v.numpy() for n, v in zip(names, inputs, strict=True)})
+    return dict(zip([o.name for o in session.get_outputs()], map(torch.from_numpy, answers), strict=True))
+
+
+def check_render(renderer: tuple[str, Path, Camera], vertices: torch.Tensor, faces: torch.Tensor) -> None:
+    what, path, camera = renderer
+    light = F.normalize(torch.tensor([[0.0, 0, 1], [1, 1, 1], [-1, 0.5, 0.2]]), dim=1)
+    albedo = torch.tensor([0.8, 0.4])
+    inputs = (vertices, faces) if what == "renderer" else (vertices, faces, light, albedo, torch.tensor([0.6]))
+    answers = [render(path, *inputs, threads=threads) for threads in (1, 2, 4, 4)]
+    for other in answers[1:]:
+        assert all(torch.equal(a, b) for a, b in zip(answers[0].values(), other.values(), strict=True))
+    seen, found = render_normals(vertices, faces, camera, SIZE), answers[0]
+    assert torch.equal(found["face"], seen.face)
+    assert torch.equal(found["mask"], seen.mask)
+    assert torch.equal(found["depth"].isinf(), ~seen.mask)
+    assert torch.allclose(found["depth"], seen.depth, rtol=1e-5, atol=1e-5)
+    assert torch.allclose(found["normal"], seen.normal, atol=1e-5)
+    if what == "shaded_mesh":
+        wanted = seen.shade(OrenNayar("vcavity"), light[None], albedo=albedo.reshape(1, 2, 1, 1), roughness=0.6)[0]
+        assert torch.allclose(found["shading"], wanted, atol=1e-5)
+
+
+def test_renderer_sees_the_faces_that_torch_sees(renderer: tuple[str, Path, Camera]) -> None:
+    ball = trimesh.creation.icosphere(4)
+    check_render(renderer, torch.tensor(ball.vertices).float(), torch.tensor(ball.faces))
+    generator = torch.Generator().manual_seed(5)
+    for count, spread in ((1, 5.0), (60, 1.0), (5000, 0.05)):  # some cross the near plane
+        corners = torch.randn(count, 1, 3, generator=generator) + torch.randn(count, 3, 3, generator=generator) * spread
+        check_render(renderer, corners.reshape(-1, 3), torch.arange(3 * count).reshape(-1, 3))
+
+
+@pytest.mark.parametrize("name", ["stanford-bunny", "spot", "suzanne", "teapot", "nefertiti"])
+def test_renderer_sees_the_same_faces_of_real_meshes(renderer: tuple[str, Path, Camera], data: Path, name: str) -> None:
+    vertices, faces = load_mesh(data / "meshes" / f"{name}.obj")
+    check_render(renderer, normalise_mesh(vertices), faces)
+
+
+def test_renderer_is_a_small_file_without_races(renderer: tuple[str, Path, Camera]) -> None:
+    what, path, _ = renderer
+    described = describe_onnx(path)
+    assert described["bytes"] <= 300_000
+    assert described["opset"] == 18
+    assert described["inputs"]["vertices"] == ["vertices", "3"]
+    assert described["inputs"]["faces"] == ["faces", "3"]
+    assert described["outputs"]["face"] == ["1", "1", *map(str, SIZE)]
+    assert not {"ScatterND", "Inverse"} & set(described["operators"])
+    assert described["metadata"]["graph"] == what
+    assert "perspective" in described["metadata"]["camera"] or what == "renderer"
+    assert b"site-packages" not in path.read_bytes()
+
+
+@pytest.mark.parametrize("missing", [{"camera": None}, {"size": None}, {"camera": Camera.orthographic(torch.ones(2))}])
+def test_a_renderer_needs_one_camera_and_a_size(tmp_path: Path, missing: dict[str, object]) -> None:
+    arguments = {"camera": Camera.orthographic(), "size": (4, 4)} | missing
+    with pytest.raises(ExportError, match="camera"):
+        export_onnx("renderer", tmp_path / "graph.onnx", **arguments)  # type: ignore[arg-type]
 
 
 def test_bad_input(tmp_path: Path) -> None:

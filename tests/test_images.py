@@ -4,6 +4,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import PIL.Image
 import pytest
 import torch
 from hypothesis import given
@@ -19,7 +20,7 @@ from torch_orennayar import (
     linear_to_srgb,
     srgb_to_linear,
 )
-from torch_orennayar.images import read_image, to_unit, write_image
+from torch_orennayar.images import read_image, to_unit, write_animation, write_image
 
 
 @pytest.mark.parametrize("suffix", [".png", ".tiff"])
@@ -132,3 +133,45 @@ def test_green_conventions() -> None:
     assert encode_normals(upward, green="down").flatten().tolist() == [0.5, 0.0, 0.5]
     with pytest.raises(RangeError, match="green"):
         encode_normals(upward, green="left")
+
+
+def test_animations_hold_their_frames(tmp_path: Path) -> None:
+    ramp = torch.linspace(0, 1, 32).expand(1, 24, 32)
+    frames = [torch.cat((ramp, ramp * k / 5, torch.full_like(ramp, 0.5))) for k in range(6)]
+    write_animation(tmp_path / "a.gif", frames, rate=10)
+    with PIL.Image.open(tmp_path / "a.gif") as gif:
+        assert gif.n_frames == 6
+        assert gif.info["duration"] == 100
+        for k, frame in enumerate(frames):
+            gif.seek(k)
+            shown = torch.from_numpy(np.array(gif.convert("RGB"))).permute(2, 0, 1) / 255
+            assert (shown - frame).abs().mean() < 0.03
+    write_animation(tmp_path / "a.mp4", frames)
+    video = cv2.VideoCapture(str(tmp_path / "a.mp4"))
+    read = [video.read() for _ in range(7)]
+    assert [done for done, _ in read] == [True] * 6 + [False]
+    shown = torch.from_numpy(read[5][1][..., ::-1].copy()).permute(2, 0, 1) / 255
+    assert (shown - frames[5]).abs().mean() < 0.05
+
+
+def test_a_colour_of_one_frame_is_kept(tmp_path: Path) -> None:
+    frames = [torch.eye(3)[k % 3].reshape(3, 1, 1).expand(3, 8, 8) for k in range(20)]
+    frames[1] = torch.tensor([1.0, 0.5, 0.0]).reshape(3, 1, 1).expand(3, 8, 8)
+    write_animation(tmp_path / "a.gif", frames)
+    with PIL.Image.open(tmp_path / "a.gif") as gif:
+        gif.seek(1)
+        assert np.abs(np.array(gif.convert("RGB"))[0, 0].astype(int) - [255, 128, 0]).max() < 8
+
+
+def test_animations_that_cannot_be(tmp_path: Path) -> None:
+    frame = torch.zeros(3, 4, 4)
+    with pytest.raises(FileError, match="gif"):
+        write_animation(tmp_path / "a.avi", [frame])
+    for frames in ([], [frame, torch.zeros(3, 4, 6)], [torch.zeros(4, 4)], [frame.byte()]):
+        with pytest.raises(ShapeError, match="frames"):
+            write_animation(tmp_path / "a.gif", frames)
+    with pytest.raises(ShapeError, match="even"):
+        write_animation(tmp_path / "a.mp4", [torch.zeros(3, 7, 4)])
+    with pytest.raises(RangeError, match="rate"):
+        write_animation(tmp_path / "a.gif", [frame], rate=0)
+    assert list(tmp_path.iterdir()) == []

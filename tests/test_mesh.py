@@ -137,3 +137,17 @@ def test_vertices_without_area_have_no_normal_and_finite_gradients() -> None:
     normals.sum().backward()
     assert vertices.grad is not None
     assert vertices.grad.isfinite().all()
+
+
+@pytest.mark.parametrize(
+    ("vertices", "faces", "error"),
+    [
+        (torch.eye(3), torch.tensor([[0, 1, 3]]), RangeError),
+        (torch.eye(3), torch.tensor([[0, 1, 2, 2]]), ShapeError),
+        (torch.eye(3)[:, :2], torch.tensor([[0, 1, 2]]), ShapeError),
+        (torch.eye(3).long(), torch.tensor([[0, 1, 2]]), ShapeError),
+    ],
+)
+def test_normals_of_what_is_no_mesh(vertices: torch.Tensor, faces: torch.Tensor, error: type[Exception]) -> None:
+    with pytest.raises(error):
+        vertex_normals(vertices, faces)

@@ -25,6 +25,7 @@ from torch_orennayar import (
     render_normals,
 )
 from torch_orennayar.mesh import normalise_mesh
+from torch_orennayar.spans import Spans
 
 coordinate = st.floats(-1.5, 1.5, width=32)
 corner = st.tuples(coordinate, coordinate, st.floats(-3, 3, width=32))
@@ -168,6 +169,17 @@ def test_given_vertex_normals_are_used() -> None:
     assert torch.allclose(seen.normal[0][:, seen.mask[0, 0]], wanted, atol=1e-6)
 
 
+def test_given_vertex_normals_may_differ_from_view_to_view() -> None:
+    vertices, faces = sphere(2)
+    camera = Camera.perspective(0.9, torch.tensor([[0.0, 0, 3], [2, 1, 2]]))
+    given_normals = torch.nn.functional.normalize(torch.randn(2, *vertices.shape), dim=2)
+    both = render_normals(vertices, faces, camera, (16, 16), vertex_normals=given_normals)
+    one = render_normals(
+        vertices, faces, Camera.perspective(0.9, camera.eye[1]), (16, 16), vertex_normals=given_normals[1]
+    )
+    assert torch.allclose(both.normal[1], one.normal[0], atol=1e-6)
+
+
 def test_given_normals_stay_where_the_winding_is_inverted() -> None:
     vertices, faces = sphere(3)
     one, other = (
@@ -220,7 +232,7 @@ def test_coincident_vertices_give_finite_gradients() -> None:
 def test_large_triangles_are_searched_in_parts(monkeypatch: pytest.MonkeyPatch) -> None:
     vertices, faces = sphere(2)
     whole = render_normals(vertices * 3, faces, Camera.perspective(1.4, (0, 0, 3.5)), (40, 40))
-    monkeypatch.setattr("torch_orennayar.raster.FRAGMENTS", 37)
+    monkeypatch.setattr("torch_orennayar.spans.FRAGMENTS", 37)
     monkeypatch.setattr("torch_orennayar.raster.CHUNK", 29)
     monkeypatch.setattr("torch_orennayar.interpolate.TILE", 100)
     parts = render_normals(vertices * 3, faces, Camera.perspective(1.4, (0, 0, 3.5)), (40, 40))
@@ -327,6 +339,10 @@ def test_gradients_reach_vertex_normals() -> None:
         ({"faces": torch.tensor([[0, -1, 2]])}, RangeError, "faces"),
         ({"faces": torch.tensor([[0, 1, 2]]).int()}, ShapeError, "int64"),
         ({"size": (0, 4)}, ShapeError, "size"),
+        ({"size": (1, 80_000)}, ShapeError, "size"),
+        ({"size": (4.5, 4)}, ShapeError, "size"),
+        ({"size": 4}, ShapeError, "size"),
+        ({"faces": [[0, 1, 2]]}, ShapeError, "tensor"),
         ({"cull": "both"}, RangeError, "cull"),
         ({"vertex_normals": torch.zeros(4, 3)}, ShapeError, "vertex_normals"),
         (
@@ -356,7 +372,7 @@ def pairs(
     """All (face, pixel) pairs that the rasteriser enters, sorted."""
     entered = []
 
-    def spy(best: Tensor, spans: raster._Spans, start: Tensor, face: Tensor, width: int) -> None:
+    def spy(best: Tensor, spans: Spans, start: Tensor, face: Tensor, width: int) -> None:
         number = spans.number.flatten().long()
         row = torch.arange(len(spans.begin))[:, None] * width
         first = (start + row + spans.begin.long()).flatten()
@@ -364,7 +380,7 @@ def pairs(
         step = torch.arange(len(which)) - (number.cumsum(0) - number)[which]
         entered.append(torch.stack((face.expand(len(spans.begin), -1).flatten()[which], first[which] + step), 1))
 
-    monkeypatch.setattr(raster, "_enter", spy)
+    monkeypatch.setattr(raster, "enter", spy)
     render_normals(vertices, faces, camera, size, smooth=False)
     monkeypatch.undo()
     found = torch.cat(entered).numpy()

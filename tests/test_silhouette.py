@@ -10,7 +10,7 @@ from scipy.spatial import ConvexHull
 from torch import Tensor
 from torch.autograd import gradcheck
 
-from torch_orennayar import Camera, ShapeError, antialias, face_neighbours, render_normals
+from torch_orennayar import Camera, RangeError, ShapeError, antialias, face_neighbours, render_normals
 
 
 def polygon(corners: int, radius: float, turn: float) -> tuple[Tensor, Tensor]:
@@ -108,6 +108,42 @@ def test_only_pixels_at_silhouettes_change() -> None:
     assert torch.equal(normals[inner], seen.normal[inner])
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_a_box_seen_face_on_has_the_area_of_its_front_whatever_the_order_of_faces(seed: int) -> None:
+    box = trimesh.creation.box(extents=(0.61, 0.78, 0.7))
+    faces = torch.tensor(box.faces)[torch.randperm(12, generator=torch.Generator().manual_seed(seed))]
+    vertices = (torch.tensor(box.vertices) + torch.tensor([0.013, 0.007, 0.0])).requires_grad_()
+    total = soft_mask(vertices, faces, Camera.orthographic(), (40, 40)).sum()
+    assert total.item() == pytest.approx(0.61 * 0.78 * 400, abs=0.2)
+    (gradient,) = torch.autograd.grad(total, vertices)
+    for axis, wanted in ((0, 0.78 * 400), (1, 0.61 * 400)):  # moving one side outward
+        grown = (gradient[:, axis] * (vertices.detach()[:, axis] > 0)).sum().item()
+        assert grown == pytest.approx(wanted, rel=0.05)
+
+
+@pytest.mark.parametrize("offset", [-1e-6, 0.0, 1e-6])
+def test_edges_midway_between_centres_have_one_gradient(offset: float) -> None:
+    """Round numbers are what people try first."""
+    right = torch.tensor(0.5 + offset).double().requires_grad_()
+    x, y = torch.stack((-right * 0 - 0.5, right, right, -right * 0 - 0.5)), torch.tensor([-0.5, -0.5, 0.5, 0.5])
+    vertices = torch.stack((x, y.double(), x * 0), 1)
+    total = soft_mask(vertices, torch.tensor([[0, 1, 2], [0, 2, 3]]), Camera.orthographic(), (16, 16)).sum()
+    assert torch.autograd.grad(total, right)[0].item() == pytest.approx(64)
+
+
+@pytest.mark.parametrize("side", [0.1, 0.3, 0.5, 0.8, 1.3])
+def test_shapes_below_a_pixel_stay_in_range(side: float) -> None:
+    half = side / 2 / 8
+    square = torch.tensor([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]).double() * half + 1 / 16
+    mask = soft_mask(
+        square * torch.tensor([1.0, 1, 0]), torch.tensor([[0, 1, 2], [0, 2, 3]]), Camera.orthographic(), (16, 16)
+    )
+    assert mask.min() >= 0
+    assert mask.max() <= 1 + 1e-9
+    if side <= 1:
+        assert mask.sum().item() == pytest.approx(side**2, abs=1e-6)
+
+
 def test_a_batch_is_its_views() -> None:
     vertices, faces = tumbled(2)
     camera = Camera.perspective(0.9, torch.tensor([[0.2, 0.3, 2.6], [2.0, 0.5, 1.0]]).double())
@@ -150,5 +186,17 @@ def test_nothing_in_view_and_edges_behind_the_eye() -> None:
 def test_maps_of_another_size_are_refused() -> None:
     vertices, faces = tumbled(1)
     seen = render_normals(vertices, faces, Camera.orthographic(), (8, 8))
-    with pytest.raises(ShapeError, match="maps"):
-        antialias(torch.zeros(1, 1, 8, 9), seen, vertices, faces)
+    for maps in (torch.zeros(1, 1, 8, 9), seen.mask, seen.face):
+        with pytest.raises(ShapeError, match="maps"):
+            antialias(maps, seen, vertices, faces)
+    mask = seen.mask.double()
+    with pytest.raises(RangeError, match="faces"):
+        antialias(mask, seen, vertices, faces[:3])
+    with pytest.raises(RangeError, match="faces"):
+        antialias(mask, seen, vertices[:5], faces)
+    with pytest.raises(ShapeError, match="neighbours"):
+        antialias(mask, seen, vertices, faces, neighbours=faces[:2])
+    with pytest.raises(ShapeError, match="vertices"):
+        antialias(mask, seen, vertices.expand(3, -1, -1), faces)
+    with pytest.raises(ShapeError, match="faces"):
+        face_neighbours(torch.zeros(2, 4, dtype=torch.int64))

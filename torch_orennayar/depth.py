@@ -5,12 +5,14 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from ._checks import check_floating
 from .camera import Camera
 from .errors import ShapeError
+from .mesh import unit_or_zero
 
 
 def depth_to_normals(depth: Tensor, *, mask: Tensor | None = None, camera: Camera | None = None) -> Tensor:
-    """Normals of a depth map, the way back from `integrate_normals`.
+    """Normals of a depth map, the way back from `integrate_normals` (without a camera, or with a perspective one).
 
     Slopes are central differences, one-sided at the mask's edge, so nothing outside the mask is touched. A depth
     discontinuity inside it reads as a steep surface.
@@ -34,14 +36,18 @@ def depth_to_normals(depth: Tensor, *, mask: Tensor | None = None, camera: Camer
         >>> [round(v, 4) for v in ton.depth_to_normals(slope)[:, 1, 1].tolist()]
         [-0.6, 0.0, 0.8]
     """
+    check_floating(depth=depth)
     batched = depth if depth.ndim == 4 else depth[None]
     if batched.ndim != 4 or batched.shape[1] != 1:
         raise ShapeError("depth", expected="(1, H, W) or (B, 1, H, W)", got=str(tuple(depth.shape)), mend="reshape it")
-    if mask is not None and mask.shape != depth.shape:
-        expected = str(tuple(depth.shape))
-        raise ShapeError("mask", expected=expected, got=str(tuple(mask.shape)), mend="one mask per depth map")
+    if mask is not None and (mask.shape != depth.shape or mask.dtype != torch.bool):
+        got = f"{tuple(mask.shape)} {mask.dtype}"
+        raise ShapeError("mask", expected=f"{tuple(depth.shape)} bool", got=got, mend="one mask per depth map; .bool()")
+    if camera is not None and len(camera.eye) not in (1, len(batched)):
+        got = f"{len(camera.eye)} cameras for {len(batched)} maps"
+        raise ShapeError("camera", expected="one camera, or one for each map", got=got, mend="repeat the depth map")
     inside = batched.isfinite() if mask is None else (mask if mask.ndim == 4 else mask[None]) & batched.isfinite()
-    known = torch.where(inside, batched, 0.0)
+    known = torch.where(inside, batched, 0.0).double()
     if camera is None:
         height, width = known.shape[2:]
         row, column = torch.meshgrid(torch.arange(height).to(known), torch.arange(width).to(known), indexing="ij")
@@ -52,8 +58,7 @@ def depth_to_normals(depth: Tensor, *, mask: Tensor | None = None, camera: Camer
     down, has_down = _difference(points, inside, 2)
     normal = torch.linalg.cross(down, right, dim=1)
     there = inside & has_right & has_down
-    normal = torch.where(there, normal, normal.new_tensor((0.0, 0.0, 1.0)).reshape(1, 3, 1, 1))
-    normal = torch.nn.functional.normalize(normal, dim=1, eps=1e-30) * there
+    normal = unit_or_zero(normal * there, 1).to(depth.dtype)
     return normal if depth.ndim == 4 else normal[0]
 
 

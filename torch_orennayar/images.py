@@ -131,21 +131,29 @@ def write_animation(path: str | os.PathLike[str], frames: Sequence[Tensor], *, r
 
     Args:
         path: a .gif or .mp4 name; the file appears whole or not at all.
-        frames: (1|3, H, W) in [0, 1] each, as they are shown: no curve is applied. MP4 needs even H and W.
-        rate: frames a second.
+        frames: (1|3, H, W) floating-point in [0, 1] each, as they are shown: no curve is applied. MP4 needs even H, W.
+        rate: frames a second, 1 to 60.
 
     Raises:
-        ShapeError: no frames, not (1|3, H, W), or sizes that differ.
+        ShapeError: no frames, not floating-point (1|3, H, W), sizes that differ, or odd ones for MP4.
+        RangeError: another rate.
         FileError: another suffix, or the place cannot be written.
     """
     file = Path(path)
     if file.suffix.lower() not in ANIMATIONS:
         raise FileError(str(file), expected="a .gif or .mp4 name", got=file.suffix or "no suffix", mend="rename it")
     shapes = {tuple(f.shape[1:]) for f in frames}
-    if len(shapes) != 1 or any(f.ndim != 3 or f.shape[0] not in (1, 3) for f in frames):
+    fits = len(shapes) == 1 and all(f.ndim == 3 and f.shape[0] in (1, 3) and f.is_floating_point() for f in frames)
+    odd = file.suffix.lower() == ".mp4" and any(n % 2 for n in next(iter(shapes), ()))
+    if not fits or odd:
         raise ShapeError(
-            "frames", expected="(1|3, H, W) all of one size", got=str([tuple(f.shape) for f in frames[:3]]), mend="fix"
+            "frames",
+            expected="floating-point (1|3, H, W) all of one size" + ", even for .mp4" * odd,
+            got=str([f"{tuple(f.shape)} {f.dtype}" for f in frames[:3]]),
+            mend="pad them" if odd else "divide bytes by 255; crop to one size",
         )
+    if not 1 <= rate <= 60:
+        raise RangeError("rate", expected="1 to 60 frames a second", got=str(rate), mend="use e.g. 12")
     pixels = [(f.detach().cpu().expand(3, -1, -1).clamp(0, 1) * 255).round().byte().permute(1, 2, 0) for f in frames]
     with atomic_path(file) as temporary:
         if file.suffix.lower() == ".gif":
@@ -157,8 +165,9 @@ def write_animation(path: str | os.PathLike[str], frames: Sequence[Tensor], *, r
 def _write_gif(path: Path, pixels: Sequence[Tensor], rate: int) -> None:
     import PIL.Image
 
-    # One palette for all, or colours flicker.
-    strip = PIL.Image.fromarray(torch.cat(list(pixels)[:: max(1, len(pixels) // 8)]).numpy()).quantize(256)
+    # One palette for all, or colours flicker: of every frame a part of the pixels.
+    step = max(1, round((len(pixels) * pixels[0][..., 0].numel() / 1_000_000) ** 0.5))
+    strip = PIL.Image.fromarray(torch.cat([p[::step, ::step] for p in pixels]).numpy()).quantize(256)
     pictures = [PIL.Image.fromarray(p.numpy()).quantize(palette=strip) for p in pixels]
     pictures[0].save(path, save_all=True, append_images=pictures[1:], duration=round(1000 / rate), loop=0)
 

@@ -23,12 +23,13 @@ def integrate_normals(normal: Tensor, mask: Tensor | None = None, *, camera: Cam
     Args:
         normal: (3, H, W) unit normals in the camera frame.
         mask: (1, H, W) bool; default: where the normal is not zero.
-        camera: None for orthographic; a perspective `Camera` otherwise.
+        camera: None for orthographic views in pixels; a `Camera` otherwise.
 
     Returns:
         (1, H, W), 0 outside the mask. Without a camera: height toward the viewer in pixels, mean 0 over
         every connected region. With a perspective camera: positive distance along the optical axis,
-        geometric mean 1 over every connected region.
+        geometric mean 1 over every connected region. With an orthographic one: distance along the axis in
+        its units, mean 0 over every connected region.
 
     Raises:
         ShapeError: shapes other than these.
@@ -48,9 +49,8 @@ def integrate_normals(normal: Tensor, mask: Tensor | None = None, *, camera: Cam
     height, width = inside.shape
     n = normal.detach().cpu().double()
     if camera is None or not camera.is_perspective:
-        per_pixel = 1.0 if camera is None else float(2 / (height * camera.focal[0, 1]))
         facing = n[2]
-        step_x, step_y = per_pixel, per_pixel
+        step_x, step_y = (1.0, 1.0) if camera is None else (float(2 / (height * f)) for f in camera.focal[0])
     else:
         facing = -(n * camera.rays((height, width))[0].double().cpu()).sum(0)
         step_x, step_y = (float(2 / (height * f)) for f in camera.focal[0])
@@ -59,8 +59,8 @@ def integrate_normals(normal: Tensor, mask: Tensor | None = None, *, camera: Cam
     slope_right, slope_down = -n[0] / facing * step_x, n[1] / facing * step_y
     height_map = _solve(slope_right.numpy(), slope_down.numpy(), facing.numpy(), inside.cpu().numpy())
     depth = torch.from_numpy(height_map).to(normal)[None]
-    if camera is not None and camera.is_perspective:
-        depth = (-depth).exp()
+    if camera is not None:
+        depth = (-depth).exp() if camera.is_perspective else -depth
     return torch.where(inside[None], depth, 0)
 
 

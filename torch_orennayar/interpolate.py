@@ -13,10 +13,12 @@ import torch
 from torch import Tensor
 
 from .mesh import unit_or_zero
-from .raster import exporting
+from .spans import exporting
 
-TILE = 1 << 15
+TILE = 1 << 17
 """Pixels at once."""
+CHUNK = 1 << 14
+"""Faces at once."""
 CANCELLED = 1e-6
 """Length below which blended unit normals point nowhere; the face's own normal then stands in."""
 STEEPEST = 1e6
@@ -53,10 +55,20 @@ def interpolate(
     views, count = face.shape[0], faces.shape[0]
     seen, index = _seen(face, count)
     smooth = surface.normals is not None
-    table = _table(surface, faces, seen, size, perspective).to(dtype)
-    table = torch.cat((table, _nothing(smooth, perspective, table)), 1)
+    view = seen // max(count, 1)
+    corner = (faces.index_select(0, seen - view * count) + (view * surface.image.shape[1])[:, None]).T
+    planes = surface._replace(
+        corners=_planes(surface.corners),
+        image=_planes(surface.image),
+        normals=None if surface.normals is None else _planes(surface.normals),
+    )
+    parts = [corner] if exporting() else corner.split(CHUNK, 1)
+    columns = [_columns(planes, part.reshape(-1), size, perspective).to(dtype) for part in parts]
+    columns.append(_nothing(smooth, perspective, columns[0]))
+    table = torch.cat([_turn(c.T).T for c in columns])
     if exporting():
-        return Maps(*_values(table, index, _grid(slice(None), size, table), smooth, perspective))
+        hit = index < table.shape[0] - 1
+        return Maps(*_values(table.index_select(0, index), hit, _grid(slice(None), size, table), smooth, perspective))
     shape = (views, *size)
     normal, depth, barycentric = _Tiles.apply(table, index, size, smooth, perspective)  # type: ignore[no-untyped-call]
     return Maps(normal.view(3, *shape), depth.view(shape), barycentric.view(3, *shape))
@@ -77,19 +89,20 @@ def _seen(face: Tensor, count: int) -> tuple[Tensor, Tensor]:
     return seen, place.flatten().index_select(0, own.flatten())
 
 
-def _table(surface: Surface, faces: Tensor, seen: Tensor, size: tuple[int, int], perspective: bool) -> Tensor:
-    """A column per face.
+def _planes(values: Tensor) -> Tensor:
+    """(B, V, 3) as (3, B V)."""
+    return values.reshape(-1, 3).T.contiguous()
+
+
+def _columns(surface: Surface, corner: Tensor, size: tuple[int, int], perspective: bool) -> Tensor:
+    """A column per face, from the vertices of all views as planes and the faces' first, second and third corners.
 
     Rows: a pixel centre near the face, x and y; change along x, along y, and value there of two weights (over w, and
     1 / w itself, if perspective); depth, then smooth normals, at the first corner; their differences to the second and
     to the third; the face's own normal.
     """
-    count = max(faces.shape[0], 1)
-    view = seen // count
-    corner = (faces.index_select(0, seen - view * count) + (view * surface.image.shape[1])[:, None]).T.reshape(-1)
 
-    def gather(values: Tensor) -> Tensor:
-        planes = values.reshape(-1, 3).T.contiguous()
+    def gather(planes: Tensor) -> Tensor:
         return planes.index_select(1, corner).view(3, 3, -1)  # component, corner, face
 
     image, place = gather(surface.image), gather(surface.corners)
@@ -125,9 +138,9 @@ def _pixel_near(image: Tensor, size: tuple[int, int]) -> Tensor:
 
 
 def _nothing(smooth: bool, perspective: bool, like: Tensor) -> Tensor:
-    """The table's column of a pixel that sees nothing: infinite depth, and no division by 0."""
+    """The column of a pixel that sees nothing: it divides by nothing that is 0."""
     rows = [0.0] * (10 if perspective else 8) + [1.0] * perspective
-    rows += [torch.inf, 0.0, 0.0, 1.0] + [0.0] * 8 if smooth else [torch.inf, 0.0, 0.0]
+    rows += [1.0, 0.0, 0.0, 1.0] + [0.0] * 8 if smooth else [1.0, 0.0, 0.0]
     return like.new_tensor([*rows, 0.0, 0.0, 0.0])[:, None]
 
 
@@ -148,38 +161,39 @@ def _grid(rows: slice, size: tuple[int, int], like: Tensor) -> tuple[Tensor, Ten
 
 
 def _values(
-    table: Tensor,
-    index: Tensor,
-    grid: tuple[Tensor, Tensor],
-    smooth: bool,
-    perspective: bool,
-    space: Tensor | None = None,
+    rows: Tensor, hit: Tensor, grid: tuple[Tensor, Tensor], smooth: bool, perspective: bool
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Normal (3, R, W), depth (R, W) and barycentric weights (3, R, W) of rows of pixels; ``space`` is used up."""
+    """Normal (3, R, W), depth (R, W) and barycentric weights (3, R, W) from every pixel's row of the table."""
     x, y = grid
     planes, width = 3 if perspective else 2, 4 if smooth else 1
-
-    def look_up(rows: Tensor, out: Tensor | None = None) -> Tensor:
-        return torch.index_select(rows, 1, index, out=out).view(-1, len(y), len(x))
-
-    columns = look_up(table[:-3], None if space is None else space[:, : index.shape[0]])
-    near, along, down, value, *corners = columns.split((2, planes, planes, planes, width, width, width))
-    hit = (index < table.shape[1] - 1).view(len(y), len(x)).to(table.dtype)
+    columns = _turn(rows).view(-1, y.shape[0], x.shape[0])
+    near, along, down, value, first, second, third, flat = columns.split(
+        (2, planes, planes, planes, width, width, width, 3)
+    )
+    seen = hit.view(y.shape[0], x.shape[0]).to(rows.dtype)
     weight = torch.addcmul(torch.addcmul(value, along, x - near[0]), down, y - near[1])
     if perspective:
         weight = weight[:2] / weight[2]
     weight = weight.clamp_min(0)
     weight = weight / (weight[0] + weight[1]).clamp_min(1)
-    values = torch.addcmul(torch.addcmul(corners[0], weight[0], corners[1]), weight[1], corners[2])
-    barycentric = torch.stack((hit - weight[0] - weight[1], weight[0], weight[1]))
+    values = torch.addcmul(torch.addcmul(first, weight[0], second), weight[1], third)
+    barycentric = torch.stack((seen - weight[0] - weight[1], weight[0], weight[1]))
+    depth = values[0] / seen  # infinite where nothing is seen
     if not smooth:
-        return look_up(table[-3:]), values[0], barycentric
+        return flat, depth, barycentric
     length = _square(values[1:])
     lost = length < CANCELLED**2
-    normal = values[1:] * (length.clamp_min(CANCELLED**2).rsqrt() * hit)
+    normal = values[1:] * (length.clamp_min(CANCELLED**2).rsqrt() * seen)
     if exporting() or bool(lost.any()):
-        normal = torch.where(lost, look_up(table[-3:]), normal)
-    return normal, values[0], barycentric
+        normal = torch.where(lost, flat, normal)
+    return normal, depth, barycentric
+
+
+def _turn(rows: Tensor) -> Tensor:
+    """(N, K) as planes (K, N): a product with 1, which is faster than a copy."""
+    if exporting():
+        return rows.T
+    return torch.mm(torch.eye(rows.shape[1], dtype=rows.dtype, device=rows.device), rows.T)
 
 
 def _square(a: Tensor) -> Tensor:
@@ -197,10 +211,11 @@ class _Tiles(torch.autograd.Function):
         ctx.choice = (size, smooth, perspective)
         rows = index.shape[0] // size[1]
         normal, depth, barycentric = (table.new_empty(k, rows, size[1]) for k in (3, 1, 3))
-        space = table.new_empty(table.shape[0] - 3, min(max(TILE, size[1]), index.shape[0]))
+        space = table.new_empty(min(max(TILE, size[1]), index.shape[0]), table.shape[1])
         for part in _tiles(rows, size[1]):
-            here, grid = _cut(index, part, size[1]), _grid(part, size, table)
-            values = _values(table, here, grid, smooth, perspective, space)
+            here = index[part.start * size[1] : part.stop * size[1]]
+            found = torch.index_select(table, 0, here, out=space[: len(here)])
+            values = _values(found, here < len(table) - 1, _grid(part, size, table), smooth, perspective)
             normal[:, part], depth[0, part], barycentric[:, part] = values
         return normal, depth[0], barycentric
 
@@ -208,25 +223,23 @@ class _Tiles(torch.autograd.Function):
     def backward(ctx: Any, *arriving: Tensor) -> tuple[Tensor | None, ...]:
         table, index = ctx.saved_tensors
         size, smooth, perspective = ctx.choice
+        rows = index.shape[0] // size[1]
         if torch.is_grad_enabled():  # second derivatives: in one piece, by plain operations
-            rows = slice(0, index.shape[0] // size[1])
-            values = _values(table, index, _grid(rows, size, table), smooth, perspective)
+            hit, grid = index < len(table) - 1, _grid(slice(0, rows), size, table)
+            values = _values(table.index_select(0, index), hit, grid, smooth, perspective)
             (whole,) = torch.autograd.grad(values, table, arriving, create_graph=True)
             return whole, None, None, None, None
         gradient = torch.zeros_like(table)
-        for part in _tiles(index.shape[0] // size[1], size[1]):
-            leaf = table.detach().requires_grad_()
+        for part in _tiles(rows, size[1]):
+            here = index[part.start * size[1] : part.stop * size[1]]
+            found = table.index_select(0, here).requires_grad_()
             with torch.enable_grad():
-                values = _values(leaf, _cut(index, part, size[1]), _grid(part, size, table), smooth, perspective)
+                values = _values(found, here < len(table) - 1, _grid(part, size, table), smooth, perspective)
             given = [arriving[0][:, part], arriving[1][part], arriving[2][:, part]]
-            gradient += torch.autograd.grad(values, leaf, given)[0]
+            gradient.index_add_(0, here, torch.autograd.grad(values, found, given)[0])
         return gradient, None, None, None, None
 
 
 def _tiles(rows: int, width: int) -> list[slice]:
     step = max(1, TILE // width)
     return [slice(r, min(r + step, rows)) for r in range(0, rows, step)]
-
-
-def _cut(index: Tensor, part: slice, width: int) -> Tensor:
-    return index[part.start * width : part.stop * width]

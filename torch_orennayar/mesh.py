@@ -9,12 +9,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from ._checks import check_floating
 from .camera import Camera
 from .errors import FileError, RangeError, ShapeError
 from .files import atomic_path
 
 MAX_FACES = 50_000_000
 """Larger meshes are refused."""
+CHUNK = 1 << 14
+"""Faces at once where normals are summed."""
 
 
 def load_mesh(path: str | os.PathLike[str]) -> tuple[Tensor, Tensor]:
@@ -108,6 +111,10 @@ def vertex_normals(vertices: Tensor, faces: Tensor) -> Tensor:
     Returns:
         The shape of ``vertices``; 0 where a vertex has no face, or only faces without area.
 
+    Raises:
+        ShapeError: shapes other than these, or vertices that are not floating-point.
+        RangeError: a face names a vertex that does not exist.
+
     Source:
         Max 1999, "Weights for computing vertex normals from facet normals": a corner weighs by the sine of its
         angle over the lengths of its edges.
@@ -117,19 +124,46 @@ def vertex_normals(vertices: Tensor, faces: Tensor) -> Tensor:
         >>> ton.vertex_normals(torch.eye(3), torch.tensor([[0, 1, 2]]))[0].tolist()
         [0.5773502588272095, 0.5773502588272095, 0.5773502588272095]
     """
-    batched = vertices if vertices.ndim == 3 else vertices[None]
-    points = batched.double().transpose(1, 2)  # planes of x, y, z
-    index = faces.T.reshape(-1)
-    corner = points.index_select(2, index).view(points.shape[0], 3, 3, -1)
-    edge = corner.roll(-1, 2) - corner
-    area = torch.linalg.cross(edge[:, :, 0], edge[:, :, 1], dim=1)
-    length = edge.square().sum(1)  # squared, of the edges that leave corners 0, 1, 2
-    product = length * length.roll(1, 1)
-    weight = (product > 0) / torch.where(product > 0, product, 1)
-    parts = (area[:, :, None] * weight[:, None]).flatten(2)
-    total = torch.zeros_like(points).scatter_add(2, index.expand_as(parts), parts)
-    unit = unit_or_zero(total, 1).transpose(1, 2).to(vertices.dtype)
-    return unit if vertices.ndim == 3 else unit[0]
+    check_floating(vertices=vertices)
+    if vertices.ndim not in (2, 3) or vertices.shape[-1] != 3:
+        raise ShapeError("vertices", expected="(V, 3) or (B, V, 3)", got=str(tuple(vertices.shape)), mend="reshape")
+    check_faces(faces, vertices.shape[-2])
+    return sum_normals(vertices if vertices.ndim == 3 else vertices[None], faces).reshape(vertices.shape)
+
+
+def sum_normals(vertices: Tensor, faces: Tensor) -> Tensor:
+    """`vertex_normals` of (B, V, 3), nothing checked."""
+    points = vertices.double().transpose(1, 2).contiguous()  # planes of x, y, z
+    total = torch.zeros_like(points)
+    for part in [faces] if torch.compiler.is_exporting() else faces.split(CHUNK):
+        index = part.T.reshape(-1)
+        corner = points.index_select(2, index).view(points.shape[0], 3, 3, -1)
+        edge = torch.cat((corner[:, :, 1:], corner[:, :, :1]), 2) - corner
+        area = torch.linalg.cross(edge[:, :, 0], edge[:, :, 1], dim=1)
+        length = edge.square().sum(1)  # squared, of the edges that leave corners 0, 1, 2
+        product = length * torch.cat((length[:, 2:], length[:, :2]), 1)
+        weight = (product > 0) / torch.where(product > 0, product, 1)
+        parts = (area[:, :, None] * weight[:, None]).flatten(2)
+        total = total.scatter_add_(2, index.expand(points.shape[0], 3, -1), parts)
+    return unit_or_zero(total, 1).transpose(1, 2).to(vertices.dtype)
+
+
+def check_faces(faces: Tensor, vertices: int) -> None:
+    """Triangles that name vertices which exist."""
+    if not isinstance(faces, Tensor) or faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype != torch.int64:
+        kind = f"{tuple(faces.shape)} {faces.dtype}" if isinstance(faces, Tensor) else type(faces).__name__
+        raise ShapeError(
+            "faces", expected="(F, 3) int64 tensor", got=kind, mend="triangulate; torch.as_tensor; .long()"
+        )
+    if faces.numel():
+        low, high = (int(t) for t in torch.aminmax(faces))
+        if low < 0 or high >= vertices:
+            raise RangeError(
+                "faces",
+                expected=f"indices from 0 to {vertices - 1}",
+                got=f"{low} to {high}",
+                mend="remove those faces (OBJ files count from 1)",
+            )
 
 
 def unit_or_zero(vectors: Tensor, dim: int) -> Tensor:

@@ -10,31 +10,25 @@ Every covered pixel makes a key, depth before face index, and the smallest key w
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from itertools import pairwise
-from typing import Any, NamedTuple
+from collections.abc import Iterator
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from .clipping import GUARD, clip
+from .spans import DEPTH_BITS, FACE_BITS, GRID, ROWS, cover, enter, exporting, least, most, repeat, split
 
-GRID = 256.0
-"""Steps per pixel."""
-FACE_BITS = 26
-DEPTH_BITS = 37
 MARGIN = 1 << 14
 """Room for rounding at both ends of the range of depths."""
 EMPTY = (1 << 63) - 1
 """The key of a pixel that sees nothing."""
-ROWS = 16
-"""Rows of a face in one piece."""
 EXACT_32 = float(1 << 23)
 """Faces whose bounding box has no more steps squared than this are exact in float32; others take float64."""
 CHUNK = 1 << 15
 """Faces at once."""
-FRAGMENTS = 1 << 17
-"""Covered pixels at once, give or take a row."""
+BLOCK = 8
+"""Height and width of the tiles in which faces are looked for that others hide."""
 
 
 class Projected(NamedTuple):
@@ -81,11 +75,6 @@ def visible_faces(
             _draw_all(best, points, snapped, (corner, face, view), size, near, scale, cull)
     shown = best.reshape(views, -1) & ((1 << FACE_BITS) - 1)
     return shown.clamp_max(faces.shape[0])
-
-
-def exporting() -> bool:
-    """Whether a graph is being traced: then everything is one piece."""
-    return torch.compiler.is_exporting()
 
 
 def _chunks(faces: Tensor, views: int, vertices: int) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
@@ -141,10 +130,9 @@ def _draw_all(
 ) -> None:
     """Draw a chunk of faces; those with a corner behind the near plane or far outside the image are cut first."""
     corner, face, view = chunk
-    area = size[0] * size[1]
     broken = snapped.x[corner].isnan().any(0)
     if not exporting():
-        _draw(best, snapped, corner, face, view * area, size, cull)
+        _draw(best, _Faces(snapped, corner, face, view), size, cull)
         if not bool(broken.any()):
             return
     owner = broken.nonzero().reshape(-1)
@@ -163,169 +151,103 @@ def _draw_all(
         pieces = _Corners(*(torch.cat(pair) for pair in zip(snapped, pieces, strict=True)))
         corner_of_piece = torch.cat((corner, corner_of_piece + snapped.x.shape[0]), 1)
         face_of_piece, view_of_piece = torch.cat((face, face_of_piece)), torch.cat((view, view_of_piece))
-    _draw(best, pieces, corner_of_piece, face_of_piece, view_of_piece * area, size, cull)
+    _draw(best, _Faces(pieces, corner_of_piece, face_of_piece, view_of_piece), size, cull)
 
 
-def _least(t: Tensor) -> Tensor:
-    return torch.minimum(torch.minimum(t[0], t[1]), t[2])
+class _Faces(NamedTuple):
+    """A list of faces: ``corner`` (3, T) among points, index of each in the mesh and in the batch of views."""
+
+    points: _Corners
+    corner: Tensor
+    face: Tensor
+    view: Tensor
 
 
-def _most(t: Tensor) -> Tensor:
-    return torch.maximum(torch.maximum(t[0], t[1]), t[2])
+class _Boxes(NamedTuple):
+    """Rows ``first`` to ``last`` and columns ``left`` to ``right`` of the image that faces can touch, the last not."""
+
+    first: Tensor
+    last: Tensor
+    left: Tensor
+    right: Tensor
 
 
-def _draw(
-    best: Tensor,
-    points: _Corners,
-    corner: Tensor,
-    face: Tensor,
-    place: Tensor,
-    size: tuple[int, int],
-    cull: str | None,
-) -> None:
-    """Enter faces, ``corner`` (3, T) of ``points``, into the keys of pictures that begin at ``place`` (T,)."""
-    height, width = size
-    x, y = (t.index_select(0, corner.reshape(-1)).view(3, -1) for t in (points.x, points.y))
-    x_low, x_high, y_low, y_high = _least(x), _most(x), _least(y), _most(y)
+def _draw(best: Tensor, faces: _Faces, size: tuple[int, int], cull: str | None) -> None:
+    """Enter faces into the keys of the pictures."""
+    x, y = (t.index_select(0, faces.corner.reshape(-1)).view(3, -1) for t in (faces.points.x, faces.points.y))
+    x_low, x_high, y_low, y_high = least(x), most(x), least(y), most(y)
     first, last, left, right = ((t + 127).mul_(1 / GRID).floor_() for t in (y_low, y_high, x_low, x_high))
-    first, left, last, right = first.clamp_min_(0), left.clamp_min_(0), last.clamp_max_(height), right.clamp_max_(width)
+    boxes = _Boxes(first.clamp_min_(0), last.clamp_max_(size[0]), left.clamp_min_(0), right.clamp_max_(size[1]))
     drawn = (last > first).logical_and_(right > left)
+    if exporting():
+        _fill(best, faces, boxes, (x, y), drawn.nonzero().reshape(-1), size, torch.float64, cull)
+        return
     exact = x_high.sub_(x_low).add_(GRID).mul_(y_high.sub_(y_low).add_(GRID)) <= EXACT_32
     exact = exact.logical_and_(last - first <= ROWS)
-    if cull and not exporting():  # the others are found by their exact area below
-        turn = 1.0 if cull == "back" else -1.0
-        area = (x[1] - x[0]) * (y[2] - y[0]) - (y[1] - y[0]) * (x[2] - x[0])
-        drawn &= (area * turn < 0) | ~exact
-    kinds = ((drawn & exact, torch.float32), (drawn & ~exact, torch.float64))
-    for chosen, dtype in ((drawn, torch.float64),) if exporting() else kinds:
-        index = chosen.nonzero().reshape(-1)
-        if not exporting() and not index.shape[0]:
-            continue
-        row, end = first.index_select(0, index), last.index_select(0, index)
-        if dtype is torch.float64:
-            pieces = ((end - row + (ROWS - 1)) / ROWS).floor().long()
-            before = pieces.cumsum(0) - pieces
-            which = _repeat(pieces, before)
-            part = torch.arange(which.shape[0], device=best.device) - before.index_select(0, which)
-            index, row, end = (t.index_select(0, which) for t in (index, row, end))
-            row = row + part * ROWS
-            end = torch.minimum(end, row + ROWS)
-        for one, begin, stop in _split(CHUNK, index, row, end):
-            own = left.index_select(0, one)
-            x_here, y_here = (t.index_select(1, one) for t in (x, y))
-            z = points.z.index_select(0, corner.index_select(1, one).reshape(-1)).view(3, -1)
-            spans = _spans(x_here, y_here, z, begin, stop, own, width, dtype, cull)
-            start = place.index_select(0, one) + (begin * width + own).long()
-            _enter(best, spans, start, face.index_select(0, one), width)
+    # To the last bit where faces are small; the sign of large ones is found exactly later, and only sorts them here.
+    area = (x[1] - x[0]).mul_(y[2] - y[0]).sub_((y[1] - y[0]).mul_(x[2] - x[0]))
+    front = area < 0
+    if cull == "back":
+        groups = [drawn.logical_and_(front | ~exact)]
+    elif cull == "front":
+        groups = [drawn.logical_and_(~front | ~exact)]
+    else:
+        groups = [drawn & front, drawn & ~front]
+    for number, group in enumerate(groups):
+        chosen = group.nonzero().reshape(-1)
+        if number:
+            chosen = chosen[~_hidden(best, faces, boxes, chosen, size)]
+        small = exact.index_select(0, chosen)
+        for index, dtype in ((chosen[small], torch.float32), (chosen[~small], torch.float64)):
+            if len(index):
+                _fill(best, faces, boxes, (x, y), index, size, dtype, cull)
 
 
-class _Spans(NamedTuple):
-    """Covered columns of every row of N faces: begin from the face's own left, number, depth there and its step."""
+def _hidden(best: Tensor, faces: _Faces, boxes: _Boxes, chosen: Tensor, size: tuple[int, int]) -> Tensor:
+    """Which of the faces ``chosen`` lie behind everything drawn so far around their boxes: they can be left out.
 
-    begin: Tensor
-    number: Tensor
-    depth: Tensor
-    step: Tensor
+    Compares the nearest corner with the farthest pixel of four tiles, so only faces that fit into those can be found.
+    """
+    low, high = (int(t) for t in torch.aminmax(faces.view)) if len(chosen) else (0, 0)
+    rows, columns = -(-size[0] // BLOCK), -(-size[1] // BLOCK)
+    pictures = best.view(-1, *size)[low : high + 1]
+    pictures = torch.nn.functional.pad(pictures, (0, columns * BLOCK - size[1], 0, rows * BLOCK - size[0]))
+    far = pictures.view(-1, rows, BLOCK, columns * BLOCK).amax(2).view(-1, rows, columns, BLOCK).amax(3)
+    far = torch.nn.functional.pad(far, (0, 1, 0, 1))
+    first, last, left, right = (t.index_select(0, chosen) for t in boxes)
+    fits = (last - first <= BLOCK) & (right - left <= BLOCK)
+    row, column = (first * (1 / BLOCK)).long(), (left * (1 / BLOCK)).long()
+    corner = ((faces.view.index_select(0, chosen) - low) * (rows + 1) + row) * (columns + 1) + column
+    around = [far.view(-1).index_select(0, corner + k) for k in (0, 1, columns + 1, columns + 2)]
+    farthest = torch.maximum(torch.maximum(around[0], around[1]), torch.maximum(around[2], around[3]))
+    depth = faces.points.z.index_select(0, faces.corner.index_select(1, chosen).reshape(-1)).view(3, -1)
+    return (least(depth) * (1 << FACE_BITS) > farthest) & fits
 
 
-def _spans(
-    x: Tensor,
-    y: Tensor,
-    z: Tensor,
-    row: Tensor,
-    end: Tensor,
-    left: Tensor,
-    width: int,
+def _fill(
+    best: Tensor,
+    faces: _Faces,
+    boxes: _Boxes,
+    places: tuple[Tensor, Tensor],
+    index: Tensor,
+    size: tuple[int, int],
     dtype: torch.dtype,
     cull: str | None,
-) -> _Spans:
-    """Rows ``row`` to ``end`` of N faces, reckoned from the centre of pixel (``row``, ``left``): whole numbers.
-
-    The products stay below the whole numbers that ``dtype`` holds, and a quotient that is not whole differs from the
-    next whole number by more than rounding: so every ceiling is exact.
-    """
-    x = x.to(dtype).sub_((left * GRID).add_(GRID / 2))
-    y = y.to(dtype).sub_((row * GRID).add_(GRID / 2))
-    dx, dy = (torch.cat((t[1:], t[:1])).sub_(t) for t in (x, y))
-    area = (dx[0] * dy[1]).sub_(dy[0] * dx[1])
-    rows = torch.arange(ROWS if exporting() else int((end - row).max()), dtype=dtype, device=x.device)[:, None]
-    level = dy.abs().clamp_max_(1).neg_().add_(1)  # 1 for an edge along the row, which bounds nothing
-    crossing = ((dx * GRID)[:, None] * rows).add_((x * dy).sub_(dx * y)[:, None])
-    crossing = crossing.div_((dy * GRID).add_(level)[:, None]).ceil_()
-    side = dy * area
-    never = 1e30
-    begin = _most(crossing + (side < 0).to(dtype).sub_(1).mul_(never)[:, None]).clamp_min_(0)
-    stop = _least(crossing.add_((side > 0).to(dtype).sub_(1).mul_(-never)[:, None]))
-    stop = torch.minimum(stop, (width - left).to(dtype))
-    height = (end - row).to(dtype) * (area.abs().clamp_max_(1) if cull is None else _shown(area, cull))
-    number = stop.sub_(begin).clamp_min_(0).mul_((height - rows).clamp_(0, 1)).to(torch.int32)
-    depth, step = _depths(x.double(), y.double(), z, begin, rows)
-    return _Spans(begin, number, depth, step)
-
-
-def _depths(x: Tensor, y: Tensor, z: Tensor, begin: Tensor, rows: Tensor) -> tuple[Tensor, Tensor]:
-    """Depth at the column ``begin`` of every row, within the face's own range, and its step to the right."""
-    x1, x2, y1, y2 = x[1] - x[0], x[2] - x[0], y[1] - y[0], y[2] - y[0]
-    z1, z2 = (z[1] - z[0]).double(), (z[2] - z[0]).double()
-    area = x1 * y2 - y1 * x2
-    inverse = torch.ones_like(area).div_(area + (area == 0))  # a quotient: runtimes approximate reciprocals
-    along = (z1 * y2).sub_(z2 * y1).mul_(inverse)
-    down = (z2 * x1).sub_(z1 * x2).mul_(inverse)
-    depth = ((down * GRID) * rows).add_((along * GRID) * begin).sub_((along * x[0]).add_(down * y[0]))
-    low, high = torch.minimum(z1, z2).clamp_max_(0), torch.maximum(z1, z2).clamp_min_(0)
-    depth = torch.minimum(torch.maximum(depth, low), high).round_().long().add_(z[0])
-    return depth, (along * GRID).round_().clamp_(-(2.0**DEPTH_BITS), 2.0**DEPTH_BITS).long()
-
-
-def _shown(area: Tensor, cull: str) -> Tensor:
-    """1 for faces that are not left out; seen from the front, corners run clockwise in rows and columns."""
-    return (area if cull == "front" else -area).clamp(0, 1)
-
-
-def _enter(best: Tensor, spans: _Spans, start: Tensor, face: Tensor, width: int) -> None:
-    """Give the pixels of all spans their keys, and keep each pixel's smallest."""
-    rows = spans.begin.shape[0]
-    row = torch.arange(rows, device=best.device)[:, None]
-    first = spans.begin.long().add_(row * width).add_(start).reshape(-1)
-    number = spans.number.reshape(-1)
-    total = number.cumsum(0, dtype=torch.int64)
-    before = total - number
-    # Pixel and key of fragment k are first + (k - before) and key + step (k - before): sums of a product with k.
-    step = spans.step * (1 << FACE_BITS)
-    key = (spans.depth * (1 << FACE_BITS)).add_(face).sub_(before.view(rows, -1) * step).reshape(-1)
-    step = step.expand(rows, -1).reshape(-1)
-    first = first - before
-    for count, done, own_step, own_key, own_first in _split(_parts(total), number, before, step, key, first):
-        begin = 0 if exporting() else int(done[0])
-        which = _repeat(count, done - begin)
-        k = torch.arange(begin, begin + which.shape[0], device=best.device)
-        values = own_step.index_select(0, which).mul_(k).add_(own_key.index_select(0, which))
-        best.scatter_reduce_(0, k.add_(own_first.index_select(0, which)), values, "amin")
-
-
-def _split(sizes: int | list[int], *tensors: Tensor) -> Iterable[tuple[Tensor, ...]]:
-    """Parts of tensors along their first axis; a graph takes them whole."""
-    return [tensors] if exporting() else zip(*(t.split(sizes) for t in tensors), strict=True)
-
-
-def _parts(total: Tensor) -> list[int]:
-    """Numbers of rows, whose pixels add up to ``total``, such that each part has about FRAGMENTS of them."""
-    rows = total.shape[0]
-    if exporting() or not rows:
-        return [rows]
-    count = int(total[-1])
-    if count <= FRAGMENTS:
-        return [rows]
-    cuts = torch.searchsorted(total, torch.arange(FRAGMENTS, count, FRAGMENTS, device=total.device)) + 1
-    edges = sorted({0, *cuts.tolist(), rows})
-    return [b - a for a, b in pairwise(edges)]
-
-
-def _repeat(number: Tensor, before: Tensor) -> Tensor:
-    """0 ``number[0]`` times, 1 ``number[1]`` times and so on; ``before`` counts those of earlier entries."""
-    if not exporting():
-        return torch.repeat_interleave(number)
-    count: Any = number.sum(dtype=torch.int64).item()  # as sums of marks: what has a form in ONNX
-    torch._check(count >= 0)
-    marks = torch.zeros(count + 1, dtype=torch.int64).scatter_add(0, before, torch.ones_like(before))
-    return marks.cumsum(0)[:count] - 1
+) -> None:
+    """Enter the faces ``index``; ``places`` are the corners' x and y (3, T), ``dtype`` is what holds their products."""
+    row, end = boxes.first.index_select(0, index), boxes.last.index_select(0, index)
+    if dtype is torch.float64:  # may be tall
+        pieces = ((end - row + (ROWS - 1)) / ROWS).floor().long()
+        before = pieces.cumsum(0) - pieces
+        which = repeat(pieces, before)
+        part = torch.arange(which.shape[0], device=best.device) - before.index_select(0, which)
+        index, row, end = (t.index_select(0, which) for t in (index, row, end))
+        row = row + part * ROWS
+        end = torch.minimum(end, row + ROWS)
+    for one, begin, stop in split(CHUNK, index, row, end):
+        own = boxes.left.index_select(0, one)
+        x, y = (t.index_select(1, one) for t in places)
+        z = faces.points.z.index_select(0, faces.corner.index_select(1, one).reshape(-1)).view(3, -1)
+        spans = cover(x, y, z, begin, stop, own, size[1], dtype, cull)
+        start = faces.view.index_select(0, one) * (size[0] * size[1]) + (begin * size[1] + own).long()
+        enter(best, spans, start, faces.face.index_select(0, one), size[1])

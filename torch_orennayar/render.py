@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -11,11 +12,13 @@ from ._checks import check_floating
 from .camera import Camera
 from .errors import RangeError, ShapeError
 from .interpolate import Surface, interpolate
-from .mesh import unit_or_zero
-from .mesh import vertex_normals as mesh_normals
-from .raster import FACE_BITS, Projected, visible_faces
+from .mesh import check_faces, sum_normals, unit_or_zero
+from .raster import Projected, visible_faces
+from .spans import FACE_BITS
 
 MAX_FACES = (1 << FACE_BITS) - 1
+MAX_SIDE = 1 << 14
+"""Longest side of a picture: beyond it depth keys and guard band run out of room."""
 
 
 @dataclass(frozen=True)
@@ -93,16 +96,17 @@ def render_normals(
     closely than that are told apart by rounding alone, the same way in every run.
 
     Gradients reach vertices, vertex normals and camera through normals, depth and barycentrics of the
-    interior; which face a pixel shows, and so the mask, has none: `antialias` adds those of silhouettes.
+    interior; which face a pixel shows, and so the mask, has none: `antialias` adds those of silhouettes. Second
+    derivatives are there; transforms of ``torch.func`` (`vmap`, `jvp`) are not: batches are what replaces `vmap`.
 
     Args:
         vertices: (V, 3) or (B, V, 3), world frame.
         faces: (F, 3) int64, corners counter-clockwise where seen from the front.
         camera: one camera or B of them.
-        size: (H, W) in pixels.
+        size: (H, W) in pixels, up to 16,384 each.
         smooth: interpolate vertex normals; else every face is flat.
-        vertex_normals: (V, 3) or (B, V, 3), world frame, used where ``smooth``; default: `vertex_normals` of the mesh,
-            weighted by Max 1999, exact on a sphere.
+        vertex_normals: (V, 3), or (B, V, 3) for every mesh or camera, world frame, used where ``smooth``; default:
+            `vertex_normals` of the mesh, weighted by Max 1999, exact on a sphere.
         cull: ``"back"`` leaves out faces seen from behind, ``"front"`` those seen from the front. A closed mesh looks
             the same without its back faces and is drawn faster.
 
@@ -110,7 +114,7 @@ def render_normals(
         A `NormalMap`.
 
     Raises:
-        ShapeError: shapes other than these, batches that do not fit, or a size below 1.
+        ShapeError: shapes other than these, batches that do not fit, or a size out of range.
         RangeError: a face names a vertex that does not exist, a vertex is not finite, or another ``cull``.
 
     Source:
@@ -125,6 +129,7 @@ def render_normals(
         ([0.0, 0.0, 1.0], True, 2.0)
     """
     world = _check(vertices, faces, camera, vertex_normals, cull)
+    _check_size(size)
     return rasterise(world, faces, camera, size, smooth=smooth, vertex_normals=vertex_normals, cull=cull)
 
 
@@ -172,10 +177,17 @@ def rasterise(
 def _unit_normals(world: Tensor, faces: Tensor, given: Tensor | None, camera: Camera) -> Tensor:
     """Vertex normals (B, V, 3) in the camera frame, float64; zero stays zero."""
     if given is None:
-        normals = mesh_normals(world.double(), faces)
+        normals = sum_normals(world.double(), faces)
     else:
         normals = unit_or_zero(given.double().reshape(-1, *given.shape[-2:]), 2)
     return normals @ camera.rotation.to(normals).transpose(1, 2)
+
+
+def _check_size(size: tuple[int, int]) -> None:
+    """Two whole numbers within what the exact arithmetic holds."""
+    pair = isinstance(size, Sequence) and len(size) == 2 and all(isinstance(n, int) for n in size)
+    if not pair or min(size) < 1 or max(size) > MAX_SIDE:
+        raise ShapeError("size", expected=f"(H, W), each from 1 to {MAX_SIDE}", got=repr(size), mend="give pixels")
 
 
 def _check(vertices: Tensor, faces: Tensor, camera: Camera, vertex_normals: Tensor | None, cull: str | None) -> Tensor:
@@ -183,10 +195,7 @@ def _check(vertices: Tensor, faces: Tensor, camera: Camera, vertex_normals: Tens
     check_floating(vertices=vertices, vertex_normals=vertices if vertex_normals is None else vertex_normals)
     if vertices.ndim not in (2, 3) or vertices.shape[-1] != 3:
         raise ShapeError("vertices", expected="(V, 3) or (B, V, 3)", got=str(tuple(vertices.shape)), mend="reshape")
-    if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype != torch.int64:
-        raise ShapeError(
-            "faces", expected="(F, 3) int64", got=f"{tuple(faces.shape)} {faces.dtype}", mend="triangulate; .long()"
-        )
+    check_faces(faces, vertices.shape[-2])
     world = vertices if vertices.ndim == 3 else vertices[None]
     if len(world) != len(camera.eye) and 1 not in (len(world), len(camera.eye)):
         raise ShapeError(
@@ -195,10 +204,12 @@ def _check(vertices: Tensor, faces: Tensor, camera: Camera, vertex_normals: Tens
             got=f"{len(world)} and {len(camera.eye)}",
             mend="repeat one of them",
         )
-    if vertex_normals is not None and vertex_normals.shape not in (world.shape, world.shape[1:]):
+    views = max(len(world), len(camera.eye))
+    fits = (world.shape, world.shape[1:], (views, *world.shape[1:]))
+    if vertex_normals is not None and tuple(vertex_normals.shape) not in fits:
         raise ShapeError(
             "vertex_normals",
-            expected=f"one per vertex, {tuple(world.shape[1:])}",
+            expected=f"one per vertex, {tuple(world.shape[1:])}, or for each of the {views} views",
             got=str(tuple(vertex_normals.shape)),
             mend="leave it out to have them computed",
         )
@@ -207,13 +218,6 @@ def _check(vertices: Tensor, faces: Tensor, camera: Camera, vertex_normals: Tens
     for name, value in (("vertices", world), ("vertex_normals", vertex_normals)):
         if value is not None and not bool(value.detach().isfinite().all()):
             raise RangeError(name, expected="finite numbers", got="NaN or infinity", mend="clean the mesh")
-    if faces.numel() and not (int(faces.min()) >= 0 and int(faces.max()) < world.shape[1]):
-        raise RangeError(
-            "faces",
-            expected=f"indices from 0 to {world.shape[1] - 1}",
-            got=f"{int(faces.min())} to {int(faces.max())}",
-            mend="remove those faces (OBJ files count from 1)",
-        )
     if len(faces) > MAX_FACES:
         raise RangeError("faces", expected=f"at most {MAX_FACES}", got=str(len(faces)), mend="render the mesh in parts")
     if cull not in (None, "back", "front"):

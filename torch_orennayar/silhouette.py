@@ -13,7 +13,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from .errors import ShapeError
+from ._checks import check_floating
+from .errors import RangeError, ShapeError
+from .mesh import check_faces
 from .render import NormalMap
 
 
@@ -27,13 +29,17 @@ def face_neighbours(faces: Tensor) -> Tensor:
         (F, 3) int64: across the edge from corner k to corner k + 1, or -1 where there is none, more than one, or one
         whose corners run the other way round.
 
+    Raises:
+        ShapeError: another shape or type.
+
     Example:
         >>> import torch, torch_orennayar as ton
         >>> ton.face_neighbours(torch.tensor([[0, 1, 2], [2, 1, 3]])).tolist()
         [[-1, 1, -1], [0, -1, -1]]
     """
+    check_faces(faces, 1 << 31)  # so that two indices make one key
     begin, end = faces.reshape(-1), faces.roll(-1, 1).reshape(-1)
-    key = torch.minimum(begin, end) * (int(faces.max()) + 1 if faces.numel() else 1) + torch.maximum(begin, end)
+    key = torch.minimum(begin, end) * (1 << 31) + torch.maximum(begin, end)
     key, order = key.sort(stable=True)
     same = torch.zeros(len(key) + 1, dtype=torch.bool, device=faces.device)
     same[1:-1] = key[1:] == key[:-1]  # same[i]: entry i has the edge of entry i - 1
@@ -55,8 +61,9 @@ def antialias(
 
     A pixel whose neighbour's surface reaches over the line between them takes up to half of its value, by linear
     coverage between the two centres; nothing changes elsewhere. Edges that are more vertical act between pixels of a
-    row, others between pixels of a column. Blended normals are not unit. An edge with a corner nearer than the near
-    plane is left as it is.
+    row, others between pixels of a column. Blended normals are not unit. Left as they are: edges with a corner nearer
+    than the near plane, and edges where a steep open surface ends hardly before what is behind it, which look like
+    seams.
 
     Args:
         maps: (B, C, H, W), such as ``seen.mask.float()``, ``seen.normal`` or shaded pictures; differentiable.
@@ -69,7 +76,9 @@ def antialias(
         (B, C, H, W).
 
     Raises:
-        ShapeError: maps of another size than ``seen``.
+        ShapeError: maps of another size than ``seen`` or not floating-point (``.float()`` makes a mask so), vertices or
+            neighbours of another mesh.
+        RangeError: faces of another mesh.
 
     Source:
         After the idea of Laine et al. 2020, "Modular primitives for high-performance differentiable rendering"
@@ -88,9 +97,7 @@ def antialias(
         0.0
     """
     batch, _, height, width = seen.normal.shape
-    if maps.ndim != 4 or len(maps) != batch or maps.shape[2:] != (height, width):
-        expected = f"({batch}, C, {height}, {width})"
-        raise ShapeError("maps", expected=expected, got=str(tuple(maps.shape)), mend="give maps of the same view")
+    _check(maps, seen, vertices, faces, neighbours)
     if neighbours is None:
         neighbours = face_neighbours(faces)
     world = (vertices if vertices.ndim == 3 else vertices[None]).double()
@@ -98,15 +105,37 @@ def antialias(
     image = seen.camera.to_image(corners, (height, width))
     edges = _occluding(image.detach(), corners.detach(), faces, neighbours, seen)
     result = maps
-    for axis in (0, 1):
+    for axis in (0, 1):  # the second blends what the first made, so that no value leaves the range of the maps
         inner, outer, share = _crossings(edges, image, corners, seen, axis)
-        flat = maps.transpose(0, 1).reshape(maps.shape[1], -1)
+        flat = result.transpose(0, 1).reshape(maps.shape[1], -1)
         change = flat[:, outer] - flat[:, inner]
-        gain, loss = (share - 0.5).clamp_min(0), (0.5 - share).clamp_min(0)
+        gain, loss = (share - 0.5).relu(), (0.5 - share).clamp_min(0)  # halfway, one of them has a slope
         moved = torch.zeros_like(flat).index_add(1, outer, -change * gain.to(maps))
         moved = moved.index_add(1, inner, change * loss.to(maps))
         result = result + moved.reshape(maps.shape[1], batch, height, width).transpose(0, 1)
     return result
+
+
+def _check(maps: Tensor, seen: NormalMap, vertices: Tensor, faces: Tensor, neighbours: Tensor | None) -> None:
+    batch, _, height, width = seen.normal.shape
+    check_floating(maps=maps, vertices=vertices)
+    if maps.ndim != 4 or len(maps) != batch or maps.shape[2:] != (height, width):
+        expected = f"({batch}, C, {height}, {width})"
+        raise ShapeError("maps", expected=expected, got=str(tuple(maps.shape)), mend="give maps of the same view")
+    if (
+        vertices.ndim not in (2, 3)
+        or vertices.shape[-1] != 3
+        or (vertices.ndim == 3 and len(vertices) not in (1, batch))
+    ):
+        expected = f"(V, 3) or ({batch}, V, 3)"
+        raise ShapeError("vertices", expected=expected, got=str(tuple(vertices.shape)), mend="those of the view")
+    check_faces(faces, vertices.shape[-2])
+    if int(seen.face.max()) >= len(faces):
+        got = f"{len(faces)} faces, of which number {int(seen.face.max())} is seen"
+        raise RangeError("faces", expected="the faces of the view", got=got, mend="give the mesh that was rendered")
+    if neighbours is not None and neighbours.shape != faces.shape:
+        got = str(tuple(neighbours.shape))
+        raise ShapeError("neighbours", expected=str(tuple(faces.shape)), got=got, mend="face_neighbours(faces)")
 
 
 class _Edges(NamedTuple):
@@ -122,17 +151,21 @@ class _Edges(NamedTuple):
 def _occluding(image: Tensor, corners: Tensor, faces: Tensor, neighbours: Tensor, seen: NormalMap) -> _Edges:
     """Edges between a face seen from the front and one from behind, and edges of one face."""
     a, b, c = (image[:, faces[:, k]] for k in range(3))
-    front = (a * torch.linalg.cross(b, c)).sum(2) < 0  # (B, F)
+    volume = (a * torch.linalg.cross(b, c)).sum(2)  # (B, F), 0 for a face seen from its edge
     border = neighbours < 0
-    turned = front[:, neighbours.clamp_min(0)] != front[:, :, None]
+    turned = (volume < 0)[:, neighbours.clamp_min(0)] != (volume < 0)[:, :, None]
     own = torch.arange(len(faces), device=faces.device)[:, None]
     view, face, side = (border | (turned & (own < neighbours))).nonzero().unbind(1)
     begin, end, beside = (faces[face, (side + k) % 3] for k in range(3))
+    across, ends = neighbours[face, side], border[face, side]
+    # Of the two faces, the one that shows more of itself tells on which side of the edge the surface is.
+    wider = ~ends & (volume[view, across].abs() > volume[view, face].abs())
+    beside = torch.where(wider, faces[across].sum(1) - begin - end, beside)
+    ahead = torch.where(wider, volume[view, across], volume[view, face]) != 0
     if seen.camera.is_perspective:
         depth = -corners[:, :, 2]
-        ahead = (depth[view, begin] > seen.camera.near) & (depth[view, end] > seen.camera.near)
-        view, begin, end, beside, face, side = (t[ahead] for t in (view, begin, end, beside, face, side))
-    return _Edges(view, begin, end, beside, border[face, side])
+        ahead &= (depth[view, begin] > seen.camera.near) & (depth[view, end] > seen.camera.near)
+    return _Edges(*(t[ahead] for t in (view, begin, end, beside, ends)))
 
 
 def _crossings(
