@@ -20,10 +20,9 @@ def main(mesh: str, picture: str) -> None:
     seen = ton.render_normals(normalise_mesh(vertices), faces, camera, (256, 256))
     lights = torch.tensor([[-0.8, 0.0, 0.6], [0.0, 0.0, 1.0], [0.48, 0.64, 0.6]])  # unit, camera frame
     layer = ton.OrenNayar("vcavity")
-    view = camera.view_directions((256, 256))
     rows = []
     for degrees in (0, 40):
-        images = layer(seen.normal, lights[None], view, albedo=0.8, roughness=math.radians(degrees))[0]
+        images = seen.shade(layer, lights[None], albedo=0.8, roughness=math.radians(degrees))[0]
         rows.append(torch.cat(list(images), dim=-1))  # (1, 256, 768)
     write_image(picture, ton.linear_to_srgb(torch.cat(rows, dim=-2)))
 

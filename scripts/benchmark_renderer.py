@@ -3,11 +3,12 @@
     python scripts/benchmark_renderer.py [-o FOLDER] [--quick]
 
 Bars: 512 x 512 with 20,480 triangles against OpenGL on the processor, 1024 x 1024 with 327,680 against Mitsuba; all
-draw the same sphere with the same vertex normals, with back faces and without. Error against time: normals of an
-analytic sphere and torus, at the points that were drawn, for meshes of many sizes. Cost: against triangles from 12 to
-5 million, and against pixels from 64 to 2048 squared. Batches: 64 views of 128 x 128, also with gradients. Where the
-time goes. Memory: the peak of a fresh process over what it held before. Writes renderer.json, renderer.png and
-renderer_cost.png. ``peers.py`` says how to install the others.
+draw the same sphere with the same vertex normals, with back faces and without, each in a process of its own, since
+idle threads of one disturb another. Error against time: normals of an analytic sphere and torus, at the points that
+were drawn, for meshes of several sizes. Cost: against triangles from 12 to 5 million, and against pixels from 64 to
+2048 squared. Batches: 64 views of 128 x 128, also with gradients. Where the time goes. Memory: the peak of a fresh
+process over what it held before. Writes renderer.json, renderer.png and renderer_cost.png. ``peers.py`` says how to
+install the others.
 """
 
 from __future__ import annotations
@@ -23,14 +24,16 @@ import numpy as np
 import numpy.typing as npt
 import torch
 import trimesh
-from peers import Picture, View, ready
-from timing import Call, interleave, peak_bytes, ratio
+from peers import PEERS, Picture, View
+from timing import Call, alone, interleave, peak_bytes
 from torch import Tensor
 
 from torch_orennayar import Camera, interpolate, raster, render, render_normals, vertex_normals
+from torch_orennayar.progress import track
 
 HALF_HEIGHT = 1.1
 OURS, OURS_FRONT = "this package", "this package, front faces"
+RENDERERS = [(OURS, False), (OURS, True), *((name, False) for name in PEERS)]
 RING, TUBE = 0.7, 0.3
 Mesh = tuple[Tensor, Tensor]
 Truth = Callable[[npt.NDArray[np.float64]], npt.NDArray[np.float64]]
@@ -113,40 +116,48 @@ def ours(mesh: Mesh, normals: Tensor, size: int, *, cull: str | None = None) -> 
     return draw
 
 
-def compare(mesh: Mesh, size: int, runs: int, *, cull: bool) -> tuple[dict[str, Any], dict[str, str]]:
-    """Milliseconds of every renderer, and ours over each."""
+def timed(name: str, shape: str, triangles: int, size: int, cull: bool, runs: int) -> dict[str, Any]:
+    """Milliseconds of one renderer's runs and the error of its normals; meant for a process of its own."""
+    make, truth = (sphere, sphere_truth) if shape == "sphere" else (torus, torus_truth)
+    mesh = make(triangles)
     normals = vertex_normals(*mesh)
-    arrays = (mesh[0].numpy(), normals.numpy(), mesh[1].numpy().astype(np.int32))
-    calls, missing = ready(View(*arrays, HALF_HEIGHT, size, cull))
-    calls = {OURS: ours(mesh, normals, size, cull="back" if cull else None)} | calls
-    times = interleave(calls, runs, f"{len(mesh[1])} triangles, {size} squared")
+    if name == OURS:
+        call = ours(mesh, normals, size, cull="back" if cull else None)
+    else:
+        arrays = (mesh[0].numpy(), normals.numpy(), mesh[1].numpy().astype(np.int32))
+        call = PEERS[name](View(*arrays, HALF_HEIGHT, size, cull))
+    times = interleave({name: call}, runs, warm=3)[name]
+    return {"triangles": len(mesh[1]), "times": times, "ms": median(times), "degrees": error(call(), truth)}
+
+
+def compare(triangles: int, size: int, runs: int, *, cull: bool) -> tuple[dict[str, Any], dict[str, str]]:
+    """Milliseconds of every renderer, each in a process of its own, twice in turn; and ours over each."""
+    taken: dict[str, list[float]] = {}
+    missing = {}
+    for name in track([OURS, *PEERS] * 2, f"{triangles} triangles, {size} squared"):
+        result = alone(timed, name, "sphere", triangles, size, cull, runs)
+        if isinstance(result, Exception):
+            missing[name] = str(result)
+        else:
+            taken.setdefault(name, []).extend(result["times"])
     found = {}
-    for name, taken in times.items():
-        found[name] = {"ms": median(taken), "ours over it": ratio(times, OURS, name)._asdict()}
+    for name, times in taken.items():
+        low, high = np.quantile(times, (0.1, 0.9))
+        over = median(taken[OURS]) / median(times)
+        found[name] = {"ms": median(times), "10 %": low, "90 %": high, "ours over it": over}
     return found, missing
 
 
 def accuracy(runs: int, quick: bool) -> list[dict[str, Any]]:
-    """Error and time of every renderer on spheres and tori of many sizes at 512 squared."""
+    """Error and time of every renderer on spheres and tori of several sizes at 512 squared."""
+    sizes = (1280, 20_480) if quick else (1280, 20_480, 327_680)
+    jobs = [(s, n, name, cull) for s in ("sphere", "torus") for n in sizes for name, cull in RENDERERS]
     rows = []
-    for shape, make, truth in (("sphere", sphere, sphere_truth), ("torus", torus, torus_truth)):
-        for triangles in (1280, 20_480) if quick else (320, 1280, 5120, 20_480, 81_920, 327_680):
-            mesh = make(triangles)
-            normals = vertex_normals(*mesh)
-            arrays = (mesh[0].numpy(), normals.numpy(), mesh[1].numpy().astype(np.int32))
-            calls, _ = ready(View(*arrays, HALF_HEIGHT, 512, False))
-            calls = {OURS: ours(mesh, normals, 512), OURS_FRONT: ours(mesh, normals, 512, cull="back")} | calls
-            times = interleave(calls, runs, f"{shape} of {len(mesh[1])}")
-            rows += [
-                {
-                    "shape": shape,
-                    "triangles": len(mesh[1]),
-                    "renderer": name,
-                    "ms": median(times[name]),
-                    "degrees": error(call(), truth),
-                }
-                for name, call in calls.items()
-            ]
+    for shape, triangles, name, cull in track(jobs, "error and time"):
+        result = alone(timed, name, shape, triangles, 512, cull, runs)
+        if not isinstance(result, Exception):
+            label = OURS_FRONT if cull else name
+            rows.append({"shape": shape, "renderer": label} | {k: result[k] for k in ("triangles", "ms", "degrees")})
     return rows
 
 
@@ -246,11 +257,11 @@ def draw(document: dict[str, Any], folder: Path) -> None:
         rows = [r for r in document["accuracy"] if r["shape"] == shape]
         for name in dict.fromkeys(r["renderer"] for r in rows):
             own = [r for r in rows if r["renderer"] == name]
-            style = {"color": "#c2571a", "lw": 2.2} if name == OURS else {"lw": 1.2}
-            style |= {"color": "#c2571a", "ls": ":"} if name == OURS_FRONT else {}
-            axis.plot([r["ms"] for r in own], [r["degrees"] for r in own], "o-", ms=4, label=name, **style)
+            style: dict[str, Any] = {"lw": 2.2 if name == OURS else 1.2, "marker": "o", "ms": 4}
+            style |= {"color": "#c2571a", "ls": ":" if name == OURS_FRONT else "-"} if "package" in name else {}
+            axis.plot([r["ms"] for r in own], [r["degrees"] for r in own], label=name, **style)
         axis.set(
-            xscale="log", yscale="log", xlabel="milliseconds, 512 x 512", title=f"{shape}, 320 to 327,680 triangles"
+            xscale="log", yscale="log", xlabel="milliseconds, 512 x 512", title=f"{shape}, 1,280 to 327,680 triangles"
         )
         axis.grid(alpha=0.3, which="both")
     axes[0].set_ylabel("mean error of normals, degrees")
@@ -282,19 +293,17 @@ def main() -> None:
     runs = 5 if arguments.quick else 21
     document: dict[str, Any] = {"threads": torch.get_num_threads(), "torch": torch.__version__, "bars": {}}
     print(
-        f"{torch.get_num_threads()} threads, torch {torch.__version__}; milliseconds, and ours over it (least to most)"
+        f"{torch.get_num_threads()} threads, torch {torch.__version__}; milliseconds (10 % to 90 %), and ours over it"
     )
     for triangles, size in ((20_480, 512),) if arguments.quick else ((20_480, 512), (327_680, 1024)):
         for cull in (False, True):
-            found, missing = compare(sphere(triangles), size, runs, cull=cull)
+            found, missing = compare(triangles, size, runs, cull=cull)
             title = f"{triangles} triangles, {size} squared, {'front faces' if cull else 'both sides'}"
             document["bars"][title], document["missing"] = found, missing
             print(f"\n{title}")
-            for name, values in found.items():
-                over = values["ours over it"]
-                print(
-                    f"  {name:24}{values['ms']:8.1f}   {over['median']:.2f} ({over['least']:.2f} to {over['most']:.2f})"
-                )
+            for name, row in found.items():
+                spread = f"({row['10 %']:.1f} to {row['90 %']:.1f})"
+                print(f"  {name:24}{row['ms']:8.1f} {spread:20}{row['ours over it']:8.2f}")
     for name, why in document["missing"].items():
         print(f"  {name} left out: {why}")
     document["shares"] = {"20480, 512": shares(sphere(20_480), 512, runs)}
@@ -309,7 +318,7 @@ def main() -> None:
     print("\nnormals: mean error in degrees, milliseconds")
     for row in document["accuracy"]:
         if row["renderer"] in (OURS, OURS_FRONT) or row["triangles"] == 20_480:
-            print(f"  {row['shape']:8}{row['triangles']:8} {row['renderer']:26}{row['degrees']:9.4f}{row['ms']:8.1f}")
+            print(f"  {row['shape']:8}{row['triangles']:8} {row['renderer']:26}{row['degrees']:10.6f}{row['ms']:8.1f}")
     document["costs"] = costs(runs, arguments.quick)
     print("\ncost, milliseconds: both sides, front faces")
     for kind, rows in document["costs"].items():

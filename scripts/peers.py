@@ -165,21 +165,3 @@ PEERS: dict[str, Callable[[View], Callable[[], Picture]]] = {
     "Open3D (Embree)": open3d,
     "Mitsuba 3 (LLVM)": mitsuba,
 }
-
-
-def ready(view: View) -> tuple[dict[str, Callable[[], Picture]], dict[str, str]]:
-    """Draw calls of the renderers that run here, and why others do not."""
-    calls: dict[str, Callable[[], Picture]] = {}
-    missing: dict[str, str] = {}
-    for name in PEERS:
-        _try(name, view, calls, missing)
-    return calls, missing
-
-
-def _try(name: str, view: View, calls: dict[str, Callable[[], Picture]], missing: dict[str, str]) -> None:
-    try:
-        call = PEERS[name](view)
-        call()
-        calls[name] = call
-    except Exception as error:  # each fails in its own way where it is not installed or finds no driver
-        missing[name] = f"{type(error).__name__}: {str(error).partition(chr(10))[0]}"

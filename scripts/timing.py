@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from multiprocessing.connection import Connection
 from pathlib import Path
 from statistics import median
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -79,6 +79,28 @@ def peak_bytes(make: Callable[..., Call], size: int, *arguments: object) -> int 
     result: int = receiver.recv()
     process.join()
     return result
+
+
+def alone(function: Callable[..., object], *arguments: object) -> Any:
+    """What ``function`` returns in a fresh process, where no other library's threads spin; or the error it raised."""
+    context = multiprocessing.get_context("spawn")
+    receiver, sender = context.Pipe(duplex=False)
+    process = context.Process(target=_answer, args=(sender, function, arguments))
+    process.start()
+    sender.close()
+    try:
+        result = receiver.recv()
+    except EOFError:  # it was killed from inside, as a compiler of kernels may do
+        result = RuntimeError("the process died")
+    process.join()
+    return result
+
+
+def _answer(sender: Connection, function: Callable[..., object], arguments: tuple[object, ...]) -> None:
+    try:
+        sender.send(function(*arguments))
+    except Exception as error:  # goes to whoever asked
+        sender.send(RuntimeError(f"{type(error).__name__}: {str(error).partition(chr(10))[0]}"))
 
 
 def _measure(sender: Connection, make: Callable[..., Call], size: int, arguments: tuple[object, ...]) -> None:

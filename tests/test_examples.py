@@ -37,6 +37,14 @@ def test_shade_mesh_draws_two_rows_of_three(tmp_path: Path) -> None:
     assert (picture[:256] != picture[256:]).mean() > 0.1
 
 
+def test_fit_silhouette_finds_the_truth(tmp_path: Path) -> None:
+    place, size, losses = load("fit_silhouette").main(str(tmp_path / "picture.png"))
+    assert place == pytest.approx([0.3, -0.2], abs=0.005)
+    assert size == pytest.approx(1.5, abs=0.01)
+    assert losses[-1] < losses[0] / 100
+    assert read_image(tmp_path / "picture.png").ndim == 3
+
+
 def test_custom_reflectance_draws_and_exports(tmp_path: Path) -> None:
     import onnxruntime
 

@@ -15,7 +15,7 @@ from torch import Tensor
 from .mesh import unit_or_zero
 from .spans import exporting
 
-TILE = 1 << 17
+TILE = 1 << 15
 """Pixels at once."""
 CHUNK = 1 << 14
 """Faces at once."""
@@ -63,7 +63,7 @@ def interpolate(
         normals=None if surface.normals is None else _planes(surface.normals),
     )
     parts = [corner] if exporting() else corner.split(CHUNK, 1)
-    columns = [_columns(planes, part.reshape(-1), size, perspective).to(dtype) for part in parts]
+    columns = [_columns(planes, part.reshape(-1), size, perspective, dtype) for part in parts]
     columns.append(_nothing(smooth, perspective, columns[0]))
     table = torch.cat([_turn(c.T).T for c in columns])
     if exporting():
@@ -94,7 +94,7 @@ def _planes(values: Tensor) -> Tensor:
     return values.reshape(-1, 3).T.contiguous()
 
 
-def _columns(surface: Surface, corner: Tensor, size: tuple[int, int], perspective: bool) -> Tensor:
+def _columns(surface: Surface, corner: Tensor, size: tuple[int, int], perspective: bool, dtype: torch.dtype) -> Tensor:
     """A column per face, from the vertices of all views as planes and the faces' first, second and third corners.
 
     Rows: a pixel centre near the face, x and y; change along x, along y, and value there of two weights (over w, and
@@ -106,26 +106,28 @@ def _columns(surface: Surface, corner: Tensor, size: tuple[int, int], perspectiv
         return planes.index_select(1, corner).view(3, 3, -1)  # component, corner, face
 
     image, place = gather(surface.image), gather(surface.corners)
-    edge = torch.stack([_cross(image[:, (k + 1) % 3], image[:, (k + 2) % 3]) for k in range(3)], 1)
-    volume = (edge[:, 0] * image[:, 0]).sum(0)
-    steepness = edge[:2].abs().amax((0, 1)) * image[2].abs().amax(0)
-    thin = ~(steepness < STEEPEST * volume.abs())
+    near = _pixel_near(image, size)
+    # From that centre and over the largest w the numbers are of a pixel's size, and ``dtype`` is enough for them.
+    x, y, w = image / image[2].detach().abs().amax(0).clamp_min(1e-300)
+    local = torch.stack((x - near[0] * w, y - near[1] * w, w)).to(dtype)
+    edge = torch.stack([_cross(local[:, (k + 1) % 3], local[:, (k + 2) % 3]) for k in range(3)], 1)
+    volume = (edge[:, 0] * local[:, 0]).sum(0)
+    thin = ~(edge[:2].abs().amax((0, 1)) < STEEPEST * volume.abs())
     inverse = torch.where(thin, 0.0, 1 / torch.where(thin, 1.0, volume))
     weight = edge[:, 1:] * inverse
     if perspective:
-        weight = torch.cat((weight, (edge.sum(1, keepdim=True) * inverse)), 1)
-    near = _pixel_near(image, size)
-    value = weight[0] * near[0] + weight[1] * near[1] + weight[2]
-    value = torch.where(thin, weight.new_tensor((1 / 3, 1 / 3, 1.0)[: len(value)])[:, None], value)
-    side = 1 - 2 * (volume > 0).to(volume)  # corners run counter-clockwise from the front, and rows go down
-    flat = _cross(place[:, 1] - place[:, 0], place[:, 2] - place[:, 0]) * side
-    flat = unit_or_zero(flat, 0)
+        weight = torch.cat((weight, edge.sum(1, keepdim=True) * inverse), 1)
+    middle = weight.new_tensor((1 / 3, 1 / 3, 1.0)[: weight.shape[1]])[:, None]
+    value = torch.where(thin, middle, weight[2])
+    side = 1 - 2 * (volume > 0).to(dtype)  # corners run counter-clockwise from the front, and rows go down
+    flat = unit_or_zero(_cross(place[:, 1] - place[:, 0], place[:, 2] - place[:, 0]), 0).to(dtype) * side
     values = -place[2:]
     if surface.normals is not None:
         normal = gather(surface.normals)
         values = torch.cat((values, normal if surface.as_given else normal * side))
     first = values[:, 0]
-    return torch.cat((near, weight[0], weight[1], value, first, values[:, 1] - first, values[:, 2] - first, flat))
+    rest = (first, values[:, 1] - first, values[:, 2] - first)
+    return torch.cat((near.to(dtype), weight[0], weight[1], value, *(t.to(dtype) for t in rest), flat))
 
 
 def _pixel_near(image: Tensor, size: tuple[int, int]) -> Tensor:
@@ -166,10 +168,10 @@ def _values(
     """Normal (3, R, W), depth (R, W) and barycentric weights (3, R, W) from every pixel's row of the table."""
     x, y = grid
     planes, width = 3 if perspective else 2, 4 if smooth else 1
-    columns = _turn(rows).view(-1, y.shape[0], x.shape[0])
-    near, along, down, value, first, second, third, flat = columns.split(
-        (2, planes, planes, planes, width, width, width, 3)
-    )
+    place, attributes, flat = rows.split((2 + 3 * planes, 3 * width, 3), 1)
+    shape = (-1, y.shape[0], x.shape[0])
+    near, along, down, value = _turn(place).view(shape).split((2, planes, planes, planes))
+    first, second, third = _turn(attributes).view(shape).split(width)
     seen = hit.view(y.shape[0], x.shape[0]).to(rows.dtype)
     weight = torch.addcmul(torch.addcmul(value, along, x - near[0]), down, y - near[1])
     if perspective:
@@ -180,17 +182,17 @@ def _values(
     barycentric = torch.stack((seen - weight[0] - weight[1], weight[0], weight[1]))
     depth = values[0] / seen  # infinite where nothing is seen
     if not smooth:
-        return flat, depth, barycentric
+        return _turn(flat).view(shape), depth, barycentric
     length = _square(values[1:])
     lost = length < CANCELLED**2
     normal = values[1:] * (length.clamp_min(CANCELLED**2).rsqrt() * seen)
     if exporting() or bool(lost.any()):
-        normal = torch.where(lost, flat, normal)
+        normal = torch.where(lost, _turn(flat).view(shape), normal)
     return normal, depth, barycentric
 
 
 def _turn(rows: Tensor) -> Tensor:
-    """(N, K) as planes (K, N): a product with 1, which is faster than a copy."""
+    """(N, K) as planes (K, N), for small K: a product with 1, which is faster than a copy."""
     if exporting():
         return rows.T
     return torch.mm(torch.eye(rows.shape[1], dtype=rows.dtype, device=rows.device), rows.T)

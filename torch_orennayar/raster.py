@@ -71,8 +71,12 @@ def visible_faces(
             best = (faces[0, 0] * 0 + EMPTY).expand(best.shape[0]).clone()
         scale = _depth_scale(points, faces, near)
         snapped = _snap(points, near, scale)
+        whole = not exporting() and not bool(snapped.x.isnan().any())
         for corner, face, view in _chunks(faces, views, count):
-            _draw_all(best, points, snapped, (corner, face, view), size, near, scale, cull)
+            if not exporting():
+                _draw(best, _Faces(snapped, corner, face, view), size, cull)
+            if not whole:
+                _draw_cut(best, points, snapped, (corner, face, view), size, near, scale, cull)
     shown = best.reshape(views, -1) & ((1 << FACE_BITS) - 1)
     return shown.clamp_max(faces.shape[0])
 
@@ -93,7 +97,7 @@ def _chunks(faces: Tensor, views: int, vertices: int) -> Iterator[tuple[Tensor, 
 
 def _depth_scale(points: Projected, faces: Tensor, near: float | None) -> tuple[Tensor, Tensor]:
     """Offset and factor, per view (B, 1), that spread the depths of the faces over the bits of a key."""
-    order = _order(points.depth, near)[:, faces.reshape(-1)]
+    order = _order(points.depth, near).index_select(1, faces.reshape(-1))
     low, high = order.amin(1, keepdim=True), order.amax(1, keepdim=True)
     steps = float((1 << DEPTH_BITS) - 2 * MARGIN)
     extent = high - low
@@ -118,7 +122,7 @@ def _depth_key(order: Tensor, scale: tuple[Tensor, Tensor]) -> Tensor:
     return ((order - scale[0]) * scale[1]).round().long() + MARGIN
 
 
-def _draw_all(
+def _draw_cut(
     best: Tensor,
     points: Projected,
     snapped: _Corners,
@@ -128,14 +132,9 @@ def _draw_all(
     scale: tuple[Tensor, Tensor],
     cull: str | None,
 ) -> None:
-    """Draw a chunk of faces; those with a corner behind the near plane or far outside the image are cut first."""
+    """Cut and draw those faces of a chunk that have a corner behind the near plane or far outside the image."""
     corner, face, view = chunk
-    broken = snapped.x[corner].isnan().any(0)
-    if not exporting():
-        _draw(best, _Faces(snapped, corner, face, view), size, cull)
-        if not bool(broken.any()):
-            return
-    owner = broken.nonzero().reshape(-1)
+    owner = snapped.x[corner].isnan().any(0).nonzero().reshape(-1)
     index = corner.index_select(1, owner).T  # (N, 3)
     corners, owner = clip(torch.stack([p.reshape(-1)[index] for p in points], 2), owner, near)
     x, y, w, depth = corners.unbind(2)
@@ -147,7 +146,7 @@ def _draw_all(
     )
     corner_of_piece = torch.arange(pieces.x.shape[0], device=best.device).reshape(-1, 3).T
     face_of_piece, view_of_piece = face[owner], view[owner]
-    if exporting():  # pieces behind the whole ones: one list makes a graph half as large
+    if exporting():  # the whole ones before them: one list makes a graph half as large
         pieces = _Corners(*(torch.cat(pair) for pair in zip(snapped, pieces, strict=True)))
         corner_of_piece = torch.cat((corner, corner_of_piece + snapped.x.shape[0]), 1)
         face_of_piece, view_of_piece = torch.cat((face, face_of_piece)), torch.cat((view, view_of_piece))
