@@ -212,7 +212,7 @@ def export(
     elevation: Elevation = 0.0,
     fov: FieldOfView = None,
 ) -> None:
-    """Write an ONNX graph and verify it against torch; the last four options are the camera of a renderer."""
+    """Write an ONNX graph and verify it; the last four options are a renderer's view of the unit sphere."""
     from .export import export_onnx
 
     check_output(path.parent)
