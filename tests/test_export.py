@@ -15,6 +15,7 @@ from torch_orennayar import (
     ExportError,
     ModelError,
     OrenNayar,
+    ShapeError,
     export,
     export_onnx,
     load_mesh,
@@ -240,6 +241,11 @@ def test_a_renderer_needs_one_camera_and_a_size(tmp_path: Path, missing: dict[st
     arguments = {"camera": Camera.orthographic(), "size": (4, 4)} | missing
     with pytest.raises(ExportError, match="camera"):
         export_onnx("renderer", tmp_path / "graph.onnx", **arguments)  # type: ignore[arg-type]
+
+
+def test_a_renderer_has_the_limits_of_render_normals(tmp_path: Path) -> None:
+    with pytest.raises(ShapeError, match="size"):
+        export_onnx("renderer", tmp_path / "graph.onnx", camera=Camera.orthographic(), size=(1, 80_000))
 
 
 def test_bad_input(tmp_path: Path) -> None:

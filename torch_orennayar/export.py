@@ -17,6 +17,7 @@ from .camera import Camera
 from .errors import ExportError
 from .files import atomic_path
 from .reflectance import get_model
+from .render import check_size
 from .renderer_graph import Renderer, renderer_graph, renderer_inputs, renderer_trials
 from .shading import oren_nayar
 from .shading_graph import BAND, INPUTS, shading_graph
@@ -81,6 +82,7 @@ def export_onnx(
         if camera is None or size is None or len(camera.eye) != 1:
             got = "none" if camera is None or size is None else f"{len(camera.eye)} cameras"
             raise ExportError("camera, size", expected="one camera and (H, W)", got=got, mend="give camera= and size=")
+        check_size(size)
         camera.rays(size)  # raises where they do not fit
         task = _renderer_task(Renderer(camera, size, get_model(model).name if what == "shaded_mesh" else None))
     else:

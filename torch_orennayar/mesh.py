@@ -124,10 +124,7 @@ def vertex_normals(vertices: Tensor, faces: Tensor) -> Tensor:
         >>> ton.vertex_normals(torch.eye(3), torch.tensor([[0, 1, 2]]))[0].tolist()
         [0.5773502588272095, 0.5773502588272095, 0.5773502588272095]
     """
-    check_floating(vertices=vertices)
-    if vertices.ndim not in (2, 3) or vertices.shape[-1] != 3:
-        raise ShapeError("vertices", expected="(V, 3) or (B, V, 3)", got=str(tuple(vertices.shape)), mend="reshape")
-    check_faces(faces, vertices.shape[-2])
+    check_mesh(vertices, faces)
     return sum_normals(vertices if vertices.ndim == 3 else vertices[None], faces).reshape(vertices.shape)
 
 
@@ -146,6 +143,14 @@ def sum_normals(vertices: Tensor, faces: Tensor) -> Tensor:
         parts = (area[:, :, None] * weight[:, None]).flatten(2)
         total = total.scatter_add_(2, index.expand(points.shape[0], 3, -1), parts)
     return unit_or_zero(total, 1).transpose(1, 2).to(vertices.dtype)
+
+
+def check_mesh(vertices: Tensor, faces: Tensor) -> None:
+    """Floating-point vertices (V, 3) or (B, V, 3), and triangles between them."""
+    check_floating(vertices=vertices)
+    if vertices.ndim not in (2, 3) or vertices.shape[-1] != 3:
+        raise ShapeError("vertices", expected="(V, 3) or (B, V, 3)", got=str(tuple(vertices.shape)), mend="reshape")
+    check_faces(faces, vertices.shape[-2])
 
 
 def check_faces(faces: Tensor, vertices: int) -> None:

@@ -12,7 +12,7 @@ from ._checks import check_floating
 from .camera import Camera
 from .errors import RangeError, ShapeError
 from .interpolate import Surface, interpolate
-from .mesh import check_faces, sum_normals, unit_or_zero
+from .mesh import check_mesh, sum_normals, unit_or_zero
 from .raster import Projected, visible_faces
 from .spans import FACE_BITS
 
@@ -129,7 +129,7 @@ def render_normals(
         ([0.0, 0.0, 1.0], True, 2.0)
     """
     world = _check(vertices, faces, camera, vertex_normals, cull)
-    _check_size(size)
+    check_size(size)
     return rasterise(world, faces, camera, size, smooth=smooth, vertex_normals=vertex_normals, cull=cull)
 
 
@@ -183,7 +183,7 @@ def _unit_normals(world: Tensor, faces: Tensor, given: Tensor | None, camera: Ca
     return normals @ camera.rotation.to(normals).transpose(1, 2)
 
 
-def _check_size(size: tuple[int, int]) -> None:
+def check_size(size: tuple[int, int]) -> None:
     """Two whole numbers within what the exact arithmetic holds."""
     pair = isinstance(size, Sequence) and len(size) == 2 and all(isinstance(n, int) for n in size)
     if not pair or min(size) < 1 or max(size) > MAX_SIDE:
@@ -193,9 +193,7 @@ def _check_size(size: tuple[int, int]) -> None:
 def _check(vertices: Tensor, faces: Tensor, camera: Camera, vertex_normals: Tensor | None, cull: str | None) -> Tensor:
     """Shapes and values; vertices as (B, V, 3)."""
     check_floating(vertices=vertices, vertex_normals=vertices if vertex_normals is None else vertex_normals)
-    if vertices.ndim not in (2, 3) or vertices.shape[-1] != 3:
-        raise ShapeError("vertices", expected="(V, 3) or (B, V, 3)", got=str(tuple(vertices.shape)), mend="reshape")
-    check_faces(faces, vertices.shape[-2])
+    check_mesh(vertices, faces)
     world = vertices if vertices.ndim == 3 else vertices[None]
     if len(world) != len(camera.eye) and 1 not in (len(world), len(camera.eye)):
         raise ShapeError(

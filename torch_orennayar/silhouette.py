@@ -15,7 +15,7 @@ from torch import Tensor
 
 from ._checks import check_floating
 from .errors import RangeError, ShapeError
-from .mesh import check_faces
+from .mesh import check_faces, check_mesh
 from .render import NormalMap
 
 
@@ -118,18 +118,14 @@ def antialias(
 
 def _check(maps: Tensor, seen: NormalMap, vertices: Tensor, faces: Tensor, neighbours: Tensor | None) -> None:
     batch, _, height, width = seen.normal.shape
-    check_floating(maps=maps, vertices=vertices)
+    check_floating(maps=maps)
+    check_mesh(vertices, faces)
     if maps.ndim != 4 or len(maps) != batch or maps.shape[2:] != (height, width):
         expected = f"({batch}, C, {height}, {width})"
         raise ShapeError("maps", expected=expected, got=str(tuple(maps.shape)), mend="give maps of the same view")
-    if (
-        vertices.ndim not in (2, 3)
-        or vertices.shape[-1] != 3
-        or (vertices.ndim == 3 and len(vertices) not in (1, batch))
-    ):
+    if vertices.ndim == 3 and len(vertices) not in (1, batch):
         expected = f"(V, 3) or ({batch}, V, 3)"
         raise ShapeError("vertices", expected=expected, got=str(tuple(vertices.shape)), mend="those of the view")
-    check_faces(faces, vertices.shape[-2])
     if int(seen.face.max()) >= len(faces):
         got = f"{len(faces)} faces, of which number {int(seen.face.max())} is seen"
         raise RangeError("faces", expected="the faces of the view", got=got, mend="give the mesh that was rendered")
