@@ -12,7 +12,7 @@ from .mesh import unit_or_zero
 
 
 def depth_to_normals(depth: Tensor, *, mask: Tensor | None = None, camera: Camera | None = None) -> Tensor:
-    """Normals of a depth map, the way back from `integrate_normals` (without a camera, or with a perspective one).
+    """Normals of a depth map, the way back from `integrate_normals`.
 
     Slopes are central differences, one-sided at the mask's edge, so nothing outside the mask is touched. A depth
     discontinuity inside it reads as a steep surface.

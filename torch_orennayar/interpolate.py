@@ -68,7 +68,9 @@ def interpolate(
     table = torch.cat([_turn(c.T).T for c in columns])
     if exporting():
         hit = index < table.shape[0] - 1
-        return Maps(*_values(table.index_select(0, index), hit, _grid(slice(None), size, table), smooth, perspective))
+        return Maps(
+            *_values(table.index_select(0, index), hit, _grid(slice(0, size[0]), size, table), smooth, perspective)
+        )
     shape = (views, *size)
     normal, depth, barycentric = _Tiles.apply(table, index, size, smooth, perspective)  # type: ignore[no-untyped-call]
     return Maps(normal.view(3, *shape), depth.view(shape), barycentric.view(3, *shape))
@@ -155,10 +157,7 @@ def _grid(rows: slice, size: tuple[int, int], like: Tensor) -> tuple[Tensor, Ten
     """Columns (W,) and ``rows`` (R, 1) of pixel centres; rows count through all views."""
     height, width = size
     x = torch.arange(width, device=like.device, dtype=like.dtype) + 0.5
-    if rows == slice(None):
-        y = torch.arange(height, device=like.device, dtype=like.dtype)
-    else:
-        y = (torch.arange(rows.start, rows.stop, device=like.device) % height).to(like.dtype)
+    y = (torch.arange(rows.start, rows.stop, device=like.device) % height).to(like.dtype)
     return x, (y + 0.5)[:, None]
 
 

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
-import re
 from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor, nn
 
 from .camera import Camera
-from .errors import ExportError
 from .reflectance import get_model
 from .render import rasterise
-from .shading_graph import OPSET, Formula, quiet
+from .shading_graph import Formula, write_graph
 
 if TYPE_CHECKING:
     import onnx
@@ -78,32 +76,15 @@ def renderer_graph(renderer: Renderer) -> onnx.ModelProto:
             "albedo": {0: torch.export.Dim("channels")},
             "roughness": {},
         }
-    try:
-        with quiet(), torch._dynamo.config.patch(do_not_emit_runtime_asserts=True):
-            traced = _trace(renderer, example, shapes)
-            program = torch.onnx.export(
-                traced,
-                example,
-                input_names=list(renderer_inputs(renderer.model)),
-                output_names=list(renderer_outputs(renderer.model)),
-                dynamic_shapes=shapes,
-                opset_version=OPSET,
-                dynamo=True,
-                verbose=False,
-            )
-        assert program is not None
-        graph: onnx.ModelProto = program.model_proto
-    except Exception as error:  # the exporter raises many kinds
-        raise ExportError(
-            "renderer",
-            expected="a graph that torch.onnx can write",
-            got=f"{type(error).__name__}: {re.sub(chr(27) + '[^m]*m', '', str(error)).partition(chr(10))[0]}",
-            mend="report this with the versions that `orennayar info` prints",
-        ) from error
-    for node in graph.graph.node:  # traces of the exporting machine: paths and code
-        del node.metadata_props[:]
-        node.doc_string = ""
-    return graph
+    with torch._dynamo.config.patch(do_not_emit_runtime_asserts=True):
+        return write_graph(
+            lambda: _trace(renderer, example, shapes),
+            example,
+            (renderer_inputs(renderer.model), renderer_outputs(renderer.model)),
+            shapes,
+            ("renderer", "a graph that torch.onnx can write"),
+            "report this with the versions that `orennayar info` prints",
+        )
 
 
 def _trace(renderer: Renderer, example: tuple[Tensor, ...], shapes: dict[str, dict[int, object]]) -> Any:

@@ -10,7 +10,7 @@ import io
 import logging
 import re
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout
 from typing import TYPE_CHECKING, Any
 
@@ -167,13 +167,35 @@ def _trace(function: ModelFunction) -> onnx.ModelProto:
     area: dict[int, object] = {0: batch, 2: height, 3: width}
     shapes = {name: area | ({1: channels} if name == "albedo" else {}) for name in _MAPS}
     example = tuple(torch.rand(2, 3 if name == "albedo" else 1, 5, 7) for name in _MAPS)
+    return write_graph(
+        lambda: Formula(function),
+        example,
+        (_MAPS, ("shading",)),
+        shapes,
+        ("model", "a reflectance function that torch.onnx can export"),
+        "build it from element-wise torch operations without Python branches on values",
+    )
+
+
+def write_graph(
+    make: Callable[[], Any],
+    example: tuple[Tensor, ...],
+    names: tuple[Sequence[str], Sequence[str]],
+    shapes: dict[str, dict[int, object]],
+    subject: tuple[str, str],
+    mend: str,
+) -> onnx.ModelProto:
+    """What ``make`` gives, a module or program, as a graph with ``names`` of inputs and outputs, free of local traces.
+
+    Where that fails the error is about ``subject``, an argument and what was expected of it, and says ``mend``.
+    """
     try:
         with quiet():
             program = torch.onnx.export(
-                Formula(function),
+                make(),
                 example,
-                input_names=list(_MAPS),
-                output_names=["shading"],
+                input_names=list(names[0]),
+                output_names=list(names[1]),
                 dynamic_shapes=shapes,
                 opset_version=OPSET,
                 dynamo=True,
@@ -183,10 +205,10 @@ def _trace(function: ModelFunction) -> onnx.ModelProto:
         graph: onnx.ModelProto = program.model_proto
     except Exception as error:  # the exporter raises many kinds
         raise ExportError(
-            "model",
-            expected="a reflectance function that torch.onnx can export",
+            subject[0],
+            expected=subject[1],
             got=f"{type(error).__name__}: {re.sub(chr(27) + '[^m]*m', '', str(error)).partition(chr(10))[0]}",
-            mend="build it from element-wise torch operations without Python branches on values",
+            mend=mend,
         ) from error
     for node in graph.graph.node:  # traces of the exporting machine: paths and code
         del node.metadata_props[:]
