@@ -23,12 +23,14 @@ from .images import decode_normals, encode_normals, linear_to_srgb, srgb_to_line
 from .integrate import integrate_normals
 from .mesh import load_mesh, save_mesh, vertex_normals
 from .metrics import AngularError, angular_error
+from .reconstruction import Reconstruction
 from .reflectance import MODELS, Model, register_model, roughness_from_slope, slope_from_roughness
 from .render import NormalMap, render_normals
 from .shading import OrenNayar, brdf, directional_albedo, oren_nayar, point_light
+from .shadow import cast_shadows
 from .silhouette import antialias, face_neighbours
 from .specular import blinn_phong, microfacet, phong
-from .stereo import Reconstruction, photometric_stereo
+from .stereo import photometric_stereo
 
 __all__ = [
     "MODELS",
@@ -52,6 +54,7 @@ __all__ = [
     "antialias",
     "blinn_phong",
     "brdf",
+    "cast_shadows",
     "decode_normals",
     "depth_to_normals",
     "directional_albedo",

@@ -1,4 +1,4 @@
-"""Per-pixel robust fits of normal and albedo under known lights, all pixels at once.
+"""Robust fits of normal, albedo and highlights under known lights, pixel by pixel, all pixels at once.
 
 Observations are (P, K): P pixels, K lights. The view is orthographic, (0, 0, 1).
 """
@@ -6,16 +6,19 @@ Observations are (P, K): P pixels, K lights. The view is orthographic, (0, 0, 1)
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import TypeVar
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from .evaluation import pull
+from .material import Material, Reach, Response, half_vectors, respond
 from .progress import track
-from .reflectance import Model, get_model
+
+T = TypeVar("T")
 
 CHUNK = 120_000
 """Observations solved together: temporaries stay in cache.
@@ -29,6 +32,15 @@ SHADOW = 0.08
 MIN_LIGHTS_RANKED = 10
 """With fewer lights no ranks are left out, only shadows."""
 MIN_NORMAL_Z = 0.02
+NOISE_FLOOR = 0.01
+"""Least standard deviation of the residuals, as a share of the pixel's mean."""
+RIDGE = 0.02
+"""Pull of the lobes' strengths toward 0: without a highlight in sight they are not determined."""
+NEIGHBOURS = 440.0
+"""Pull toward the neighbours' normal per variance of the residuals.
+
+As if neighbours differed by 0.15 rad and ten observations told what one would: a misfit errs alike under many lights.
+"""
 
 
 @dataclass(frozen=True)
@@ -38,190 +50,304 @@ class PixelFit:
     Attributes:
         normal: (P, 3) unit.
         albedo: (P, 1).
-        weight: (P, K) of every observation in the last step, in [0, 1].
+        lobes: (P, L) strengths of ``(n.l) (n.h)**p``.
+        noise: (P, 1) robust standard deviation of the residuals over the pixel's mean; infinite: no weighting.
         residual: (P, 1) mean absolute difference over all lights.
-        spread: (P, 1) predicted standard error of the normal in radians; infinite if undetermined.
+        spread: (P, 1) standard error of the normal in radians if residuals were independent; infinite if undetermined.
     """
 
     normal: Tensor
     albedo: Tensor
-    weight: Tensor
+    lobes: Tensor
+    noise: Tensor
     residual: Tensor
     spread: Tensor
+
+    def __getitem__(self, part: slice | Tensor) -> PixelFit:
+        return PixelFit(*(getattr(self, f.name)[part] for f in fields(self)))
+
+    @staticmethod
+    def join(parts: Sequence[PixelFit]) -> PixelFit:
+        """All pixels of ``parts``, in order."""
+        return PixelFit(*(torch.cat([getattr(p, f.name) for p in parts]) for f in fields(PixelFit)))
+
+
+def chunks(grey: Tensor) -> list[slice]:
+    """Pixels that are solved together: as many as fit in cache, and enough parts for every thread."""
+    most = (CHUNK if grey.device.type == "cpu" else CHUNK_ACCELERATOR) // grey.shape[1]
+    size = max(1, min(most, -(-len(grey) // torch.get_num_threads())))
+    return [slice(i, i + size) for i in range(0, len(grey), size)]
+
+
+def side_by_side(work: Callable[[slice], T], parts: Sequence[slice], show: str = "") -> list[T]:
+    """``work`` on every part, on as many threads as torch has; stops at the first error or Ctrl-C."""
+
+    @torch.no_grad()  # threads do not inherit it
+    def quietly(part: slice) -> T:
+        return work(part)
+
+    with ThreadPoolExecutor(torch.get_num_threads()) as pool:
+        try:
+            done = pool.map(quietly, parts)
+            return list(track(done, show, len(parts)) if show else done)
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
 
 
 def fit(
     grey: Tensor,
     lights: Tensor,
-    model: str,
-    sigma: float,
+    material: Material,
     *,
     steps: int = 10,
-    lit_only: bool | None = None,
-    start: PixelFit | None = None,
+    used: str = "lit",
+    start: PixelFit | str = "middle",
+    toward: Tensor | None = None,
+    roughness: Tensor | None = None,
     show: str = "",
 ) -> PixelFit:
-    """Fit every pixel of ``grey`` (P, K) under ``lights`` (K, 3) with one ``model`` and roughness.
+    """Gauss-Newton with Geman-McClure weights, for every pixel of ``grey`` (P, K) under ``lights`` (K, 3).
 
-    ``lit_only`` uses all observations in light instead of the middle ranks; default: for all but Lambert.
-    ``start`` continues from an earlier fit of the same pixels.
+    Args:
+        grey: observations.
+        lights: unit directions.
+        material: what all pixels share.
+        steps: of Gauss-Newton.
+        used: observations that count: ``"lit"``, all that are not in shadow, or ``"middle"``, the middle ranks.
+        start: an earlier fit of the same pixels, or a name in ``STARTS``.
+        toward: (P, 3) normals of the neighbourhood, or None.
+        roughness: (P, 1) instead of the material's, or None.
+        show: what the progress bar says; empty for none.
     """
-    every_lit = model != "lambert" if lit_only is None else lit_only
-    known = get_model(model)
-    size = max(1, (CHUNK if grey.device.type == "cpu" else CHUNK_ACCELERATOR) // len(lights))
-    starts = range(0, len(grey), size)
+    choose = _SELECTIONS[used]
 
-    @torch.no_grad()  # threads do not inherit it
-    def solve(i: int) -> PixelFit:
-        begin = None if start is None else (start.normal[i : i + size], start.albedo[i : i + size])
-        return _fit_chunk(grey[i : i + size], lights, known, every_lit, sigma, steps, begin)
+    def solve(part: slice) -> PixelFit:
+        begin = STARTS[start] if isinstance(start, str) else start[part]
+        near = None if toward is None else toward[part]
+        rough = None if roughness is None else roughness[part]
+        return _fit_chunk(grey[part], lights, material, choose, steps, begin, near, rough)
 
-    with ThreadPoolExecutor(torch.get_num_threads()) as pool:
-        try:
-            solved = pool.map(solve, starts)
-            parts = list(track(solved, show, len(starts)) if show else solved)
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
-    return PixelFit(*(torch.cat([getattr(p, name) for p in parts]) for name in PixelFit.__dataclass_fields__))
+    return PixelFit.join(side_by_side(solve, chunks(grey), show))
 
 
 def least_squares(grey: Tensor, lights: Tensor) -> PixelFit:
     """Plain Lambertian least squares over all observations."""
-    weight = torch.ones_like(grey)
-    scaled = _linear(grey, lights, weight)
+    scaled = _linear(grey, lights, torch.ones_like(grey))
     albedo = scaled.norm(dim=1, keepdim=True)
-    normal = _upward(scaled)
     residual = (grey - scaled @ lights.T).abs().mean(1, keepdim=True)
     spread = residual / albedo.clamp_min(torch.finfo(grey.dtype).tiny) * math.sqrt(2 / len(lights))
-    return PixelFit(normal, albedo, weight, residual, spread)
+    return PixelFit(
+        _upward(scaled), albedo, grey.new_empty(len(grey), 0), torch.full_like(albedo, torch.inf), residual, spread
+    )
 
 
-def predict(fitted: PixelFit, lights: Tensor, model: str, sigma: float) -> Tensor:
+def predict(fitted: PixelFit, lights: Tensor, material: Material, roughness: Reach | None = None) -> Tensor:
     """What the fit says every pixel shows under ``lights``, (P, K)."""
-    value, ci = _evaluate(get_model(model), fitted.normal, fitted.albedo, lights, sigma)[:2]
-    return value * ci
+    unit = torch.ones_like(fitted.albedo)
+    return respond(material, fitted.normal, fitted.albedo, fitted.lobes, lights, unit, roughness).value
 
 
-def albedo_per_channel(fitted: PixelFit, colour: Tensor, lights: Tensor, model: str, sigma: float) -> Tensor:
-    """Albedo of each channel of ``colour`` (K, C, P) under the fitted normals and weights, (P, C).
+def weights(fitted: PixelFit, grey: Tensor, predicted: Tensor, used: str) -> Tensor:
+    """How much every observation counts, (P, K), in [0, 1]."""
+    share = (grey - predicted) / (2 * fitted.noise * mean_of(grey))
+    return _SELECTIONS[used](grey) / (1 + share * share) ** 2
 
-    Inter-reflection makes the model nonlinear in albedo: a few fixed-point steps settle it.
+
+def mean_of(grey: Tensor) -> Tensor:
+    """Mean of every pixel's observations, (P, 1), above 0."""
+    return grey.abs().mean(1, keepdim=True).clamp_min(1e-12)
+
+
+def colour(
+    fitted: PixelFit, grey: Tensor, channels: Tensor, lights: Tensor, material: Material, used: str
+) -> tuple[Tensor, Tensor]:
+    """Albedo (P, C) and lobes' strengths (P, L, C) of every channel (P, K, C) under the fitted normals and weights.
+
+    Light between facets makes the model nonlinear in albedo: a few fixed-point steps settle it.
     """
-    known = get_model(model)
-    channels = []
-    for channel in colour.unbind(1):
-        albedo = fitted.albedo
-        for _ in range(1 if model == "lambert" else 4):
-            value, ci, *_ = _evaluate(known, fitted.normal, albedo, lights, sigma)
-            shape = value * ci / albedo
-            weighted = fitted.weight * shape
-            norm = (weighted * shape).sum(1, keepdim=True).clamp_min(1e-12)
-            albedo = ((weighted * channel.T).sum(1, keepdim=True) / norm).clamp_min(1e-30)
-        channels.append(albedo)
-    return torch.cat(channels, 1)
+    unit = mean_of(grey)
+    weight = weights(fitted, grey, predict(fitted, lights, material), used)
+    albedos, strengths = [], []
+    for channel in (channels / unit[:, :, None]).unbind(2):
+        albedo, lobes = fitted.albedo / unit, fitted.lobes / unit
+        for _ in range(1 if material.model == "lambert" else 4):
+            response = respond(material, fitted.normal, albedo, lobes, lights, unit)
+            shapes = response.columns[1:]
+            matt = (response.value - _shine(lobes, shapes)) / albedo
+            if shapes:
+                columns = torch.stack((matt, *shapes), 1)
+                products = torch.bmm(columns * weight[:, None], torch.cat((columns, channel[:, None]), 1).mT)
+                rows = [list(row.unbind(0)) for row in products.permute(1, 2, 0)]
+                for axis in range(1, len(rows)):
+                    rows[axis][axis] = rows[axis][axis] + RIDGE
+                parts = solve_symmetric([row[:-1] for row in rows], [row[-1] for row in rows])
+                lobes = torch.stack(parts[1:], 1).clamp_min(0)
+            alone = (weight * matt * (channel - _shine(lobes, shapes))).sum(1, keepdim=True)
+            albedo = (alone / (weight * matt * matt).sum(1, keepdim=True).clamp_min(1e-12)).clamp_min(1e-12)
+        albedos.append(albedo * unit)
+        strengths.append(lobes * unit)
+    return torch.cat(albedos, 1), torch.stack(strengths, 2)
+
+
+def _shine(lobes: Tensor, shapes: Sequence[Tensor]) -> Tensor | float:
+    """What lobes (P, L) add to the observations."""
+    return sum(strength[:, None] * shape for strength, shape in zip(lobes.unbind(1), shapes, strict=True))
+
+
+def common_cost(fitted: PixelFit, noise: Tensor, grey: Tensor, lights: Tensor, material: Material) -> Tensor:
+    """Robust cost of a fit per observation in light, (P,), residuals over ``noise`` (P, 1), which fits share."""
+
+    def work(part: slice) -> Tensor:
+        seen = grey[part]
+        lit = _lit(seen)
+        share = ((seen - predict(fitted[part], lights, material)) / (2 * noise[part] * mean_of(seen))).square()
+        return (lit * share / (1 + share)).sum(1) / lit.sum(1)
+
+    return torch.cat(side_by_side(work, chunks(grey)))
 
 
 def _fit_chunk(
     grey: Tensor,
     lights: Tensor,
-    model: Model,
-    every_lit: bool,
-    sigma: float,
+    material: Material,
+    choose: Callable[[Tensor], Tensor],
     steps: int,
-    start: tuple[Tensor, Tensor] | None,
+    start: PixelFit | Callable[[Tensor, Tensor], tuple[Tensor, Tensor]],
+    toward: Tensor | None,
+    roughness: Tensor | None,
 ) -> PixelFit:
-    """Gauss-Newton on two tangent angles and albedo with Geman-McClure weights."""
-    used = _lit(grey) if every_lit else _middle_ranks(grey)
-    scale = grey.abs().mean(1, keepdim=True).clamp_min(1e-12)
-    normal, albedo = start or _start(grey, lights, scale)
+    """Everything over the pixel's mean: two tangent angles, albedo, strengths of lobes."""
+    unit = mean_of(grey)
+    seen = grey / unit
+    used = choose(seen)
+    count = len(material.exponents)
+    lobes = seen.new_zeros(len(seen), count)
+    if isinstance(start, PixelFit):
+        normal, albedo = start.normal, start.albedo / unit
+        lobes = start.lobes / unit if start.lobes.shape[1] == count else lobes
+    else:
+        normal, albedo = start(seen, lights)
+    size = 3 + count
+    jacobian = seen.new_empty(len(seen), size + 1, len(lights))
+    place = ((used.sum(1, keepdim=True) - 1) / 2).long().clamp_min(0)
     for _ in range(steps):
-        value, ci, d_ci, d_co, d_rho = _evaluate(model, normal, albedo, lights, sigma)
-        residual = grey - value * ci
-        noise = _noise(residual, used, scale)
+        response = respond(material, normal, albedo, lobes, lights, unit, roughness)
+        residual = seen - response.value
+        noise = _noise(residual, used, place)
         weight = used / (1 + (residual / (2 * noise)) ** 2) ** 2
-        by_light, by_view, by_rho = value + ci * d_ci, ci * d_co, ci * d_rho
-        matrix, gradient, basis = _normal_equations(weight, residual, by_light, by_view, by_rho, lights, normal, scale)
-        damping = 1e-3 * matrix.diagonal(dim1=1, dim2=2) + 1e-9 * len(lights)
-        step = solve3(matrix + torch.diag_embed(damping), gradient)
-        turn = step[:, :2] * (0.25 / step[:, :2].norm(dim=1, keepdim=True).clamp_min(0.25))
-        normal = _upward(normal + (basis * turn[:, :, None]).sum(1))
-        albedo = torch.maximum(albedo + step[:, 2:] * scale, 1e-6 * scale)
-    value, ci, *_ = _evaluate(model, normal, albedo, lights, sigma)
-    residual = (grey - value * ci).abs().mean(1, keepdim=True)
-    return PixelFit(normal, albedo, weight, residual, 1.25 * residual / scale * _tangent_spread(matrix))
+        tangents = _tangents(normal)
+        _fill(jacobian, response, tangents, lights)
+        jacobian[:, size] = residual
+        products = torch.bmm(jacobian[:, :size] * weight[:, None], jacobian.mT).permute(1, 2, 0)
+        matrix = [list(row.unbind(0)) for row in products[:, :size].contiguous()]
+        right = list(products[:, size].contiguous().unbind(0))
+        curvature = [row[:] for row in matrix]
+        for axis in range(size):
+            matrix[axis][axis] = matrix[axis][axis] * (1 + 1e-3) + 1e-9 * len(lights)
+        if toward is not None:
+            pull_in = NEIGHBOURS * (noise[:, 0].square() - NOISE_FLOOR**2)
+            for axis, tangent in enumerate(tangents):
+                matrix[axis][axis] = matrix[axis][axis] + pull_in
+                right[axis] = right[axis] + pull_in * ((toward - normal) * tangent).sum(1)
+        for axis in range(count):
+            matrix[3 + axis][3 + axis] = matrix[3 + axis][3 + axis] + RIDGE
+            right[3 + axis] = right[3 + axis] - RIDGE * lobes[:, axis]
+        step = _bounded(matrix, right, lobes)
+        turn = torch.stack(step[:2], 1)
+        turn = turn * (0.25 / turn.norm(dim=1, keepdim=True).clamp_min(0.25))
+        normal = _upward(normal + tangents[0] * turn[:, :1] + tangents[1] * turn[:, 1:])
+        albedo = (albedo + step[2][:, None]).clamp_min(1e-6)
+        if count:
+            lobes = (lobes + torch.stack(step[3:], 1)).clamp_min(0)
+    residual = seen - respond(material, normal, albedo, lobes, lights, unit, roughness).value
+    noise = _noise(residual, used, place)
+    return PixelFit(
+        normal,
+        albedo * unit,
+        lobes * unit,
+        noise,
+        residual.abs().mean(1, keepdim=True) * unit,
+        noise * _tangent_spread(curvature),
+    )
 
 
-def _start(grey: Tensor, lights: Tensor, scale: Tensor) -> tuple[Tensor, Tensor]:
-    """Least squares on the middle ranks."""
-    scaled = _linear(grey, lights, _middle_ranks(grey))
-    return _upward(scaled), torch.maximum(scaled.norm(dim=1, keepdim=True), 1e-3 * scale)
+def _fill(jacobian: Tensor, response: Response, tangents: tuple[Tensor, Tensor], lights: Tensor) -> None:
+    """Derivatives by two tangent angles, albedo and lobes into the first rows of (P, N, K)."""
+    half = half_vectors(lights)
+    for axis, tangent in enumerate(tangents):
+        column = (tangent @ lights.T) * response.by_light
+        if response.by_view is not None:
+            column += response.by_view * tangent[:, 2:]
+        if response.by_half is not None:
+            column += response.by_half * (tangent @ half.T)
+        jacobian[:, axis] = column
+    for axis, column in enumerate(response.columns):
+        jacobian[:, 2 + axis] = column
 
 
-def _evaluate(
-    model: Model, normal: Tensor, albedo: Tensor, lights: Tensor, sigma: float
-) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """``pi f_r``, n.l and the derivatives of the former by n.l, n.v and albedo, (P, K); 0 where unlit."""
-    raw = normal @ lights.T
-    lit = raw.sign().relu()
-    ci = torch.maximum(raw * lit, 1 - lit).clamp_min(1e-4)
-    co, rho = (t.expand_as(ci).contiguous() for t in (normal[:, 2:], albedo))
-    value, (d_ci, d_co, _, d_rho, _) = pull(model, (ci, co, lights[:, 2], rho, normal.new_tensor(sigma)), lit)
-    by_ci, by_co, by_rho = (torch.zeros_like(lit) if d is None else d for d in (d_ci, d_co, d_rho))
-    return value * lit, ci, by_ci, by_co, by_rho
+def information(fitted: PixelFit, grey: Tensor, lights: Tensor, material: Material) -> float:
+    """What the pixels say of the roughness that they share: its inverse variance."""
+    unit = mean_of(grey)
+    response = respond(material, fitted.normal, fitted.albedo / unit, fitted.lobes / unit, lights, unit)
+    if response.by_roughness is None:
+        return 0.0
+    size = 3 + len(material.exponents)
+    jacobian = grey.new_empty(len(grey), size + 1, len(lights))
+    _fill(jacobian, response, _tangents(fitted.normal), lights)
+    jacobian[:, size] = response.by_roughness
+    weight = weights(fitted, grey, response.value * unit, "lit") / fitted.noise.square()
+    products = torch.bmm(jacobian * weight[:, None], jacobian.mT).permute(1, 2, 0)
+    rows = [list(row.unbind(0)) for row in products[:size, :size]]
+    for axis in range(size):
+        rows[axis][axis] = rows[axis][axis] * (1 + 1e-6)
+    cross = list(products[size, :size].unbind(0))
+    imitated = sum(a * b for a, b in zip(cross, solve_symmetric(rows, cross), strict=True))
+    return float((products[size, size] - imitated).clamp_min(0).sum())
 
 
-def _normal_equations(
-    weight: Tensor,
-    residual: Tensor,
-    by_light: Tensor,
-    by_view: Tensor,
-    by_rho: Tensor,
-    lights: Tensor,
-    normal: Tensor,
-    scale: Tensor,
-) -> tuple[Tensor, Tensor, Tensor]:
-    """3 x 3 systems in (two tangent angles, albedo / scale), residuals over scale; the (P, 2, 3) tangent basis.
-
-    The derivative by the normal is ``by_light l + by_view v``: sums over lights are matrix products.
-    """
-    outer = (lights[:, :, None] * lights[:, None, :]).reshape(-1, 9)
-    relative = weight / scale**2  # brightness drops out: determinants of dim pixels would underflow
-    wl, wv, wr = relative * by_light, relative * by_view, relative * by_rho
-    nn = ((wl * by_light) @ outer).reshape(-1, 3, 3)
-    cross = (wl * by_view) @ lights
-    nn[:, :, 2] += cross
-    nn[:, 2, :] += cross
-    nn[:, 2, 2] += (wv * by_view).sum(1)
-    nr = (wl * by_rho) @ lights
-    nr[:, 2] += (wv * by_rho).sum(1)
-    gn = (wl * residual) @ lights
-    gn[:, 2] += (wv * residual).sum(1)
-    basis = _tangents(normal)
-    tt = basis @ nn @ basis.transpose(1, 2)
-    tr = (basis @ nr[:, :, None]) * scale[:, :, None]
-    rr = ((wr * by_rho).sum(1, keepdim=True) * scale**2)[:, :, None]
-    matrix = torch.cat((torch.cat((tt, tr), 2), torch.cat((tr.transpose(1, 2), rr), 2)), 1)
-    gradient = torch.cat(((basis @ gn[:, :, None])[:, :, 0], (wr * residual).sum(1, keepdim=True) * scale), 1)
-    return matrix, gradient, basis
+def _bounded(matrix: list[list[Tensor]], right: list[Tensor], lobes: Tensor) -> list[Tensor]:
+    """The step; lobes that it would take below 0 stop there and the rest is solved again."""
+    step = solve_symmetric(matrix, right)
+    for axis in range(lobes.shape[1]):
+        at = 3 + axis
+        below = (lobes[:, axis] + step[at] < 0).to(lobes)
+        hold = 1e4 * matrix[at][at] * below
+        right[at] = right[at] * (1 - below) - hold * lobes[:, axis]
+        matrix[at][at] = matrix[at][at] + hold
+    return solve_symmetric(matrix, right) if lobes.shape[1] else step
 
 
-def solve3(matrix: Tensor, right: Tensor) -> Tensor:
-    """Solve (P, 3, 3) symmetric systems by Cramer's rule; 0 where singular."""
-    a, b, c = matrix.unbind(1)
-    bc, ca, ab = torch.linalg.cross(b, c), torch.linalg.cross(c, a), torch.linalg.cross(a, b)
-    determinant = (a * bc).sum(1, keepdim=True)
-    solution = torch.stack((bc, ca, ab), 1) @ right[:, :, None]
-    regular = determinant.abs() > torch.finfo(matrix.dtype).tiny * 1e6
-    return torch.where(regular, solution[:, :, 0] / torch.where(regular, determinant, 1), 0)
+def solve_symmetric(matrix: Sequence[Sequence[Tensor]], right: Sequence[Tensor]) -> list[Tensor]:
+    """Solve symmetric positive N x N systems, given as tensors (P,) of entries; unknowns without a pivot are 0."""
+    size = len(right)
+    rows, target = [list(row) for row in matrix], list(right)
+    inverse = []
+    for i in range(size):
+        pivot = rows[i][i]
+        sound = (pivot > 1e-7 * matrix[i][i]).to(pivot)
+        inverse.append(sound / (pivot * sound + (1 - sound)))
+        for j in range(i + 1, size):
+            factor = rows[i][j] * inverse[i]
+            for k in range(j, size):
+                rows[j][k] = torch.addcmul(rows[j][k], factor, rows[i][k], value=-1)
+            target[j] = torch.addcmul(target[j], factor, target[i], value=-1)
+    solution: list[Tensor] = [right[0]] * size
+    for i in reversed(range(size)):
+        total = target[i]
+        for k in range(i + 1, size):
+            total = torch.addcmul(total, rows[i][k], solution[k], value=-1)
+        solution[i] = total * inverse[i]
+    return solution
 
 
 def _linear(grey: Tensor, lights: Tensor, weight: Tensor) -> Tensor:
     """Weighted Lambertian least squares, albedo times normal, (P, 3)."""
     outer = (lights[:, :, None] * lights[:, None, :]).reshape(-1, 9)
-    matrix = (weight @ outer).reshape(-1, 3, 3)
-    ridge = 1e-6 * matrix.diagonal(dim1=1, dim2=2).sum(1)[:, None, None] * torch.eye(3).to(matrix)
-    return solve3(matrix + ridge, (weight * grey) @ lights)
+    matrix = (weight @ outer).T.reshape(3, 3, -1)
+    ridge = 1e-6 * (matrix[0, 0] + matrix[1, 1] + matrix[2, 2])
+    rows = [[matrix[i, j] + ridge if i == j else matrix[i, j] for j in range(3)] for i in range(3)]
+    return torch.stack(solve_symmetric(rows, list(((weight * grey) @ lights).T)), 1)
 
 
 def _upward(vector: Tensor) -> Tensor:
@@ -230,31 +356,33 @@ def _upward(vector: Tensor) -> Tensor:
     return F.normalize(torch.cat((unit[:, :2], unit[:, 2:].clamp_min(MIN_NORMAL_Z)), 1), dim=1)
 
 
-def _tangents(normal: Tensor) -> Tensor:
-    """Two unit tangents of every normal, (P, 2, 3)."""
+def _tangents(normal: Tensor) -> tuple[Tensor, Tensor]:
+    """Two unit tangents of every normal, (P, 3) each."""
     x, _, z = normal.unbind(1)
     first = F.normalize(torch.stack((z, torch.zeros_like(z), -x), 1), dim=1)
-    return torch.stack((first, torch.linalg.cross(normal, first)), 1)
+    return first, torch.linalg.cross(normal, first)
 
 
-def _tangent_spread(matrix: Tensor) -> Tensor:
+def _tangent_spread(matrix: Sequence[Sequence[Tensor]]) -> Tensor:
     """Square root of the summed variances of both tangent angles per unit noise, (P, 1)."""
-    inverse_trace = torch.zeros_like(matrix[:, 0, 0])
+    trace = torch.zeros_like(matrix[0][0])
     for axis in (0, 1):
-        unit = torch.zeros_like(matrix[:, 0])
-        unit[:, axis] = 1
-        inverse_trace = inverse_trace + solve3(matrix, unit)[:, axis]
-    return torch.where(inverse_trace > 0, inverse_trace, torch.inf).sqrt()[:, None]
+        unit = [torch.full_like(trace, float(i == axis)) for i in range(len(matrix))]
+        trace = trace + solve_symmetric(matrix, unit)[axis]
+    return torch.where(trace > 0, trace, torch.inf).sqrt()[:, None]
 
 
-def _middle_ranks(grey: Tensor) -> Tensor:
-    """1 for observations of the ranks 20 % to 80 % of their pixel, with few lights for those in light."""
+def _ranks(grey: Tensor, low: float, high: float) -> Tensor:
+    """1 for observations between two shares of their pixel's ranks, with few lights for those in light."""
     count = grey.shape[1]
     if count < MIN_LIGHTS_RANKED:
         return _lit(grey)
-    kept = torch.zeros_like(grey)
-    order = grey.argsort(1)[:, math.floor(0.2 * count) : math.ceil(0.8 * count)]
-    return kept.scatter_(1, order, 1.0)
+    order = grey.argsort(1)[:, math.floor(low * count) : math.ceil(high * count)]
+    return torch.zeros_like(grey).scatter_(1, order, 1.0)
+
+
+def _middle(grey: Tensor) -> Tensor:
+    return _ranks(grey, 0.2, 0.8)
 
 
 def _lit(grey: Tensor) -> Tensor:
@@ -265,8 +393,35 @@ def _lit(grey: Tensor) -> Tensor:
     return (grey >= torch.minimum(threshold, third)).to(grey)
 
 
-def _noise(residual: Tensor, used: Tensor, scale: Tensor) -> Tensor:
-    """Robust standard deviation of the residuals in use, at least 1 % of the pixel's mean, (P, 1)."""
-    magnitude = torch.where(used > 0, residual.abs(), torch.inf).sort(1).values
-    middle = ((used.sum(1, keepdim=True) - 1) / 2).long().clamp_min(0)
-    return torch.maximum(1.4826 * magnitude.gather(1, middle), 0.01 * scale)
+def _noise(residual: Tensor, used: Tensor, place: Tensor) -> Tensor:
+    """Robust standard deviation of the residuals in use, (P, 1)."""
+    magnitude = (residual.abs() + (1 - used) * 1e9).sort(1).values
+    return (1.4826 * magnitude.gather(1, place)).clamp_min(NOISE_FLOOR)
+
+
+def _start_lambert(low: float, high: float) -> Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]:
+    """Least squares on some ranks."""
+
+    def begin(grey: Tensor, lights: Tensor) -> tuple[Tensor, Tensor]:
+        scaled = _linear(grey, lights, _ranks(grey, low, high))
+        return _upward(scaled), scaled.norm(dim=1, keepdim=True).clamp_min(1e-3)
+
+    return begin
+
+
+def _start_highlight(grey: Tensor, lights: Tensor) -> tuple[Tensor, Tensor]:
+    """The mean half vector of the brightest 5 %: where a highlight is, the normal is there."""
+    brightest = grey.topk(max(1, round(0.05 * grey.shape[1])), 1).indices
+    normal = _upward(half_vectors(lights)[brightest].mean(1))
+    cosine = (normal @ lights.T).relu() * _lit(grey)
+    albedo = (cosine * grey).sum(1, keepdim=True) / cosine.square().sum(1, keepdim=True).clamp_min(1e-6)
+    return normal, albedo.clamp_min(1e-3)
+
+
+STARTS: dict[str, Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]] = {
+    "middle": _start_lambert(0.2, 0.8),
+    "dim": _start_lambert(0.05, 0.55),
+    "highlight": _start_highlight,
+}
+"""Where a fit may begin: normal and albedo from observations over their mean."""
+_SELECTIONS: dict[str, Callable[[Tensor], Tensor]] = {"middle": _middle, "lit": _lit, "all": torch.ones_like}

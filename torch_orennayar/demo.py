@@ -23,10 +23,11 @@ from .integrate import integrate_normals
 from .mesh import depth_to_mesh, save_mesh
 from .metrics import angular_error
 from .progress import say
+from .reconstruction import Reconstruction
 from .render import NormalMap, render_normals
 from .report import Section, write_report
 from .shading import OrenNayar
-from .stereo import Reconstruction, photometric_stereo
+from .stereo import photometric_stereo
 
 ROUGHNESS = math.radians(30)
 NOISE = 0.01

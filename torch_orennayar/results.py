@@ -21,9 +21,9 @@ from .images import encode_normals, linear_to_srgb, write_image
 from .integrate import integrate_normals
 from .mesh import depth_to_mesh, save_mesh
 from .metrics import angular_error
+from .reconstruction import Reconstruction
 from .render import NormalMap
 from .report import Section, write_report
-from .stereo import Reconstruction
 
 OPTIONAL = {"error.npy", "error.png", "scores.png"}
 """Files that not every reconstruction has."""

@@ -1,63 +1,38 @@
-"""Photometric stereo: normals, albedo and roughness from photographs under known lights."""
+"""Photometric stereo: normals, albedo, roughness and highlights from photographs under known lights."""
 
 from __future__ import annotations
 
 import math
 import warnings
-from dataclasses import dataclass, fields
+from collections.abc import Sequence
+from dataclasses import fields
 
 import torch
 from torch import Tensor
 
 from . import _robust_fit as robust_fit
 from ._checks import check_floating, check_unit
+from ._robust_fit import PixelFit
 from .errors import CaptureError, RangeError, ShapeError
+from .material import Material
+from .neighbours import Grid, agree, neighbourhood_normals, shared_misfit
+from .progress import track
+from .reconstruction import Reconstruction, stack
 from .reflectance import get_model
+from .selection import (
+    IDENTIFIABLE,
+    MAX_CONDITION,
+    ROUGHNESSES,
+    SAMPLE_PIXELS,
+    choose,
+    condition,
+    find_roughness,
+    refine,
+    roughness_error,
+)
 
-AUTO_MODEL = "vcavity"
-"""The Oren-Nayar model that ``auto`` weighs against Lambert: the one nearest to the theory."""
-TOLERANCE = 0.02
-"""The simplest model within this share of the best held-out score is chosen."""
-SAMPLE_PIXELS = 1500
-MIN_LIGHTS_ROUGHNESS = 5
-MIN_LIGHTS_HELD_OUT = 8
-MAX_CONDITION = 30
-ERROR_CAP = 0.15
-"""Scores cut absolute errors at this share of a pixel's mean, so that shadows and highlights weigh little."""
-_COARSE = tuple(math.radians(s) for s in (0, 8, 16, 24, 32, 40, 48, 56, 64))
-_FINE = math.radians(4)
-
-
-@dataclass(frozen=True)
-class Reconstruction:
-    """What a solver found; every tensor has B in front for batched input.
-
-    Attributes:
-        normal: (3, H, W) unit normals in the camera frame, 0 outside the mask.
-        albedo: (C, H, W) linear, in the unit of the images, 0 outside the mask.
-        roughness: (1, H, W) radians, 0 for a Lambertian result and outside the mask.
-        residual: (1, H, W) mean absolute difference of grey observation and model over all lights.
-        confidence: (1, H, W) in [0, 1]: ``1 / (1 + (e / 2 deg)**2)`` with e the standard error of the
-            normal that the fit's curvature and residuals predict; 0 outside the mask and where a pixel
-            does not determine its normal.
-        model: the model in use (one per capture of a batch, as a tuple).
-        scores: held-out error of every candidate as a share of the pixel's mean, lower is better; empty
-            where nothing was chosen (one per capture of a batch, as a tuple).
-        report: what happened, one sentence each: pixels that could not be solved, warnings, the choice.
-        specular: None; no specular lobe is fitted.
-        depth: None from photometric stereo; `integrate_normals` gives it.
-    """
-
-    normal: Tensor
-    albedo: Tensor
-    roughness: Tensor
-    residual: Tensor
-    confidence: Tensor
-    model: str | tuple[str, ...]
-    scores: dict[str, float] | tuple[dict[str, float], ...]
-    report: tuple[str, ...]
-    specular: Tensor | None = None
-    depth: Tensor | None = None
+SWEEPS = 8
+"""Steps in which neighbours pull at pixels that fit badly."""
 
 
 @torch.no_grad()
@@ -70,14 +45,18 @@ def photometric_stereo(
     robust: bool = True,
     seed: int = 0,
 ) -> Reconstruction:
-    """Recover normals, albedo and roughness from images under known distant lights, orthographic view.
+    """Recover normals, albedo, roughness and highlights from images under known distant lights, orthographic view.
 
     The robust solver starts from least squares on the middle ranks of every pixel's observations and
     goes on with Gauss-Newton steps under Geman-McClure weights: for Lambert on those ranks (which leave
-    out highlights and shadows), for other models on all observations that are not in shadow. A model
-    with roughness gets one roughness per capture, of at most 68 degrees. ``auto`` fits Lambert and
-    ``vcavity`` on three lights of four, scores both on the rest, and takes the simplest within 2 % of the
-    best.
+    out highlights and shadows), for other materials on all observations that are not in shadow. With highlights it
+    begins from three starts and takes what costs little and agrees with the neighbours. In the last steps the
+    neighbours' normals pull at pixels, the more the worse these fit. A model with roughness gets one roughness per
+    capture, of at most 68 degrees.
+
+    ``auto`` weighs three diffuse parts (Lambert; Lambert with Minnaert's falloff, as under glaze; ``vcavity``), each
+    with no, one and two specular lobes, by their error on lights that were held out, and takes the simplest within
+    2 % of the best.
 
     Models with inter-reflection take albedo in the unit of the images (1 is white), cut to [0, 1]. Not
     differentiable. float64 is solved in float64, all else in float32. The same seed gives the same
@@ -88,7 +67,7 @@ def photometric_stereo(
             the mean of the channels.
         lights: (K, 3) or (B, K, 3) unit directions to the lights, camera frame.
         mask: (1, H, W) or (B, 1, H, W) bool; default all pixels. Outside it images may hold anything.
-        model: ``"auto"`` or a name in ``MODELS``.
+        model: ``"auto"`` or a name in ``MODELS``, which is then used without lobes.
         robust: ``False`` is plain least squares over all observations, for ``"lambert"`` only.
         seed: picks the pixels and the held-out lights on which roughness and model are decided.
 
@@ -104,7 +83,7 @@ def photometric_stereo(
 
     Source:
         Woodham 1980, "Photometric method for determining surface orientation from multiple images";
-        weights of Geman & McClure 1987.
+        weights of Geman & McClure 1987; falloff of Minnaert 1941; lobes of Blinn 1977.
 
     Example:
         >>> import torch, torch_orennayar as ton
@@ -127,56 +106,137 @@ def photometric_stereo(
     inside = _check(images, lights, mask)
     report: list[str] = []
     _check_conditioning(lights, report)
-    colour = _gather(images, inside)
-    grey = colour.mean(1).T.contiguous()  # (P, K)
+    grey = _gather(images, inside)
     directions = lights.to(grey)
     dark = _undetermined(grey)
     scores: dict[str, float] = {}
-    sigma = 0.0
+    material, used, uncertain = Material(), "middle" if robust else "all", 0.0
     if robust:
         sample = grey[_sample(dark, seed)]
         if model == "auto":
-            model, scores = _choose(sample, directions, seed, report)
-        if model != "lambert":
-            sigma = _find_roughness(sample, directions, model, report)
-        fitted = robust_fit.fit(grey, directions, model, sigma, show="solving")
+            chosen = choose(sample, directions, seed)
+            scores = chosen.scores
+            report.append(chosen.reason)
+            material = refine(sample, directions, chosen.material)
+        elif model != "lambert":
+            material = find_roughness(sample, directions, model)
+        if material.model != "lambert":
+            uncertain = _report_roughness(sample, directions, material, report)
+        used = "middle" if material == Material() else "lit"
+        fitted = _fit(grey, directions, material, used, Grid(inside))
     else:
         fitted = robust_fit.least_squares(grey, directions)
-    spread = torch.where(_unsure(dark, fitted, len(lights), model, report), torch.inf, fitted.spread)
+    albedo, lobes = _colours(fitted, grey, images, inside, directions, material, used)
+    spread = _spread(fitted, grey, directions, material, used, Grid(inside))
+    spread = torch.where(_unsure(dark, fitted, len(lights), material.model, report), torch.inf, spread)
 
     def canvas(values: Tensor) -> Tensor:
         empty = values.new_zeros(values.shape[1], *inside.shape)
         empty[:, inside] = values.T
         return empty
 
+    scale = [8 / (exponent + 8) for exponent in material.exponents]  # blinn_phong's own factor
     return Reconstruction(
         normal=canvas(fitted.normal),
-        albedo=canvas(robust_fit.albedo_per_channel(fitted, colour, directions, model, sigma)),
-        roughness=canvas(torch.full_like(fitted.albedo, sigma)),
+        albedo=canvas(albedo),
+        roughness=canvas(torch.full_like(fitted.albedo, material.roughness)),
         residual=canvas(fitted.residual),
         confidence=canvas(1 / (1 + (spread / math.radians(2)) ** 2)),
-        model=model,
+        model=material.model,
         scores=scores,
         report=tuple(report),
+        specular=torch.stack([canvas(lobes[:, k]) * s for k, s in enumerate(scale)]) if scale else None,
+        exponents=material.exponents,
+        falloff=float(material.falloff),
+        roughness_error=uncertain,
     )
 
 
+def _fit(grey: Tensor, lights: Tensor, material: Material, used: str, grid: Grid) -> PixelFit:
+    """All pixels: from Lambert, with lobes from other starts too, then with the neighbours."""
+    fitted = robust_fit.fit(grey, lights, Material(), used="middle", show="solving")
+    if used == "lit":
+        fits = [robust_fit.fit(grey, lights, material, start=fitted, show="solving")]
+        if material.exponents:
+            fits += [robust_fit.fit(grey, lights, material, start=s, show="solving") for s in ("dim", "highlight")]
+        fitted = fits[0] if len(fits) == 1 else _take_best(fits, grey, lights, material, grid)
+    for _ in track(range(SWEEPS), "smoothing", SWEEPS):
+        near = neighbourhood_normals(fitted.normal, fitted.noise, grid)
+        fitted = robust_fit.fit(grey, lights, material, used=used, steps=1, start=fitted, toward=near)
+    return fitted
+
+
+def _take_best(fits: Sequence[PixelFit], grey: Tensor, lights: Tensor, material: Material, grid: Grid) -> PixelFit:
+    """For every pixel the fit of low cost that agrees with the neighbours."""
+    noise = torch.stack([f.noise for f in fits]).amin(0)
+    costs = [robust_fit.common_cost(f, noise, grey, lights, material) for f in fits]
+    taken = agree([f.normal for f in fits], costs, grid)
+    values = {f.name: torch.stack([getattr(fit, f.name) for fit in fits]) for f in fields(PixelFit)}
+    return PixelFit(**{n: v.gather(0, taken[None, :, None].expand(1, -1, v.shape[2]))[0] for n, v in values.items()})
+
+
+def _report_roughness(sample: Tensor, lights: Tensor, material: Material, report: list[str]) -> float:
+    """Say what roughness was found, and how well the photographs tell it; its standard error."""
+    uncertain = roughness_error(sample, lights, material)
+    limit = " (the end of the search: it may be more)" if material.roughness >= ROUGHNESSES[-1] else ""
+    report.append(
+        f"roughness {math.degrees(material.roughness):.1f} degrees{limit}, one for the whole capture; standard error "
+        f"{math.degrees(uncertain):.1f} degrees from the curvature of the fit."
+    )
+    if uncertain > IDENTIFIABLE:
+        report.append("these photographs do not tell the roughness: take its value as unknown.")
+        warnings.warn(report[-1], stacklevel=4)
+    return uncertain
+
+
+def _colours(
+    fitted: PixelFit, grey: Tensor, images: Tensor, inside: Tensor, lights: Tensor, material: Material, used: str
+) -> tuple[Tensor, Tensor]:
+    """Albedo (P, C) and strengths of lobes (P, L, C)."""
+    place = inside.flatten().nonzero().flatten()
+    flat = images.flatten(2)
+
+    def work(part: slice) -> tuple[Tensor, Tensor]:
+        channels = flat.index_select(2, place[part]).permute(2, 0, 1).to(grey)
+        return robust_fit.colour(fitted[part], grey[part], channels, lights, material, used)
+
+    albedo, lobes = zip(*robust_fit.side_by_side(work, robust_fit.chunks(grey)), strict=True)
+    return torch.cat(albedo), torch.cat(lobes)
+
+
+def _spread(fitted: PixelFit, grey: Tensor, lights: Tensor, material: Material, used: str, grid: Grid) -> Tensor:
+    """Standard error of the normal in radians, (P, 1); misfit that neighbours share counts as one observation."""
+
+    def residuals(part: slice) -> Tensor:
+        some = fitted[part]
+        predicted = robust_fit.predict(some, lights, material)
+        root = robust_fit.weights(some, grey[part], predicted, used).sqrt()
+        return (grey[part] - predicted) * root / robust_fit.mean_of(grey[part])
+
+    shared = shared_misfit(residuals, grid, len(grey))
+    return fitted.spread * (1 + shared * (len(lights) - 1)).sqrt()
+
+
 def _gather(images: Tensor, inside: Tensor) -> Tensor:
-    """Observations inside the mask, (K, C, P), float32 or float64, all finite."""
+    """Grey observations inside the mask, (P, K), float32 or float64, all finite."""
     dtype = torch.float64 if images.dtype == torch.float64 else torch.float32
-    colour = images[:, :, inside].to(dtype)
-    if not bool(colour.isfinite().all()):
-        count = int((~colour.isfinite()).flatten(0, 1).any(0).sum())
+    grey = torch.empty(int(inside.sum()), len(images), dtype=dtype, device=images.device)
+    broken = torch.zeros(len(grey), dtype=torch.bool, device=images.device)
+    for index, image in enumerate(images):
+        mean = image[:, inside].to(dtype).mean(0)
+        broken |= ~mean.isfinite()
+        grey[:, index] = mean
+    if bool(broken.any()):
         raise RangeError(
             "images",
             expected="finite values inside the mask",
-            got=f"NaN or infinity in {count} pixels",
+            got=f"NaN or infinity in {int(broken.sum())} pixels",
             mend="take those pixels out of the mask",
         )
-    return colour
+    return grey
 
 
-def _unsure(dark: Tensor, fitted: robust_fit.PixelFit, lights: int, model: str, report: list[str]) -> Tensor:
+def _unsure(dark: Tensor, fitted: PixelFit, lights: int, model: str, report: list[str]) -> Tensor:
     """Pixels that get no confidence, (P, 1) bool; reports them, and albedo outside the unit of the images."""
     if bool(dark.any()):
         report.append(f"{int(dark.sum())} pixels are lit by fewer than 3 lights; their confidence is 0.")
@@ -209,17 +269,7 @@ def _solve_batch(
     ]
     if not found:
         raise ShapeError("images", expected="at least one capture", got=str(tuple(images.shape)), mend="add one")
-    joined = {
-        f.name: torch.stack([getattr(r, f.name) for r in found])
-        for f in fields(Reconstruction)
-        if isinstance(getattr(found[0], f.name), Tensor)
-    }
-    return Reconstruction(
-        **joined,
-        model=tuple(str(r.model) for r in found),
-        scores=tuple(r.scores for r in found if isinstance(r.scores, dict)),
-        report=tuple(f"capture {b}: {line}" for b, r in enumerate(found) for line in r.report),
-    )
+    return stack(found)
 
 
 def _check(images: Tensor, lights: Tensor, mask: Tensor | None) -> Tensor:
@@ -255,16 +305,16 @@ def _check_conditioning(lights: Tensor, report: list[str]) -> None:
     """Lights must span space: warn from a condition number of 10, refuse above 30."""
     if len(lights) < 3:
         raise CaptureError("lights", expected="at least 3", got=str(len(lights)), mend="photograph under more lights")
-    condition = _condition(lights)
-    if condition > MAX_CONDITION:
+    spanned = condition(lights)
+    if spanned > MAX_CONDITION:
         raise CaptureError(
             "lights",
             expected="directions that span space (condition number up to 30)",
-            got=f"{condition:.3g}" if condition < 1e6 else "directions in one plane",
+            got=f"{spanned:.3g}" if spanned < 1e6 else "directions in one plane",
             mend="photograph under lights from more directions",
         )
-    if condition > 10:
-        report.append(f"lights lie close together (condition number {condition:.1f}): noise is amplified.")
+    if spanned > 10:
+        report.append(f"lights lie close together (condition number {spanned:.1f}): noise is amplified.")
         warnings.warn(report[-1], stacklevel=4)
 
 
@@ -287,101 +337,3 @@ def _sample(dark: Tensor, seed: int) -> Tensor:
     lit = (~dark).nonzero().flatten()
     generator = torch.Generator().manual_seed(seed)
     return lit[torch.randperm(len(lit), generator=generator)[:SAMPLE_PIXELS].to(lit.device)]
-
-
-def _hold_out(lights: Tensor, seed: int) -> Tensor | None:
-    """A quarter of the lights, drawn so that the others still span space, (K,) bool; None if none does."""
-    generator = torch.Generator().manual_seed(seed)
-    for _ in range(50):
-        held = torch.zeros(len(lights), dtype=torch.bool)
-        held[torch.randperm(len(lights), generator=generator)[: len(lights) // 4]] = True
-        held = held.to(lights.device)
-        if _condition(lights[~held]) <= MAX_CONDITION:
-            return held
-    return None
-
-
-def _condition(lights: Tensor) -> float:
-    largest, *_, smallest = torch.linalg.svdvals(lights.detach().cpu().double()).tolist()
-    return float(largest / max(smallest, 1e-12))
-
-
-def _score(observed: Tensor, predicted: Tensor, scale: Tensor) -> float:
-    """Mean absolute error as a share of the pixel's mean, cut at ``ERROR_CAP``."""
-    return ((predicted - observed).abs() / scale).clamp(max=ERROR_CAP).mean().item()
-
-
-def _scale(grey: Tensor) -> Tensor:
-    return grey.abs().mean(1, keepdim=True).clamp_min(1e-12)
-
-
-def _choose(sample: Tensor, lights: Tensor, seed: int, report: list[str]) -> tuple[str, dict[str, float]]:
-    """Lambert or Oren-Nayar, by the error on lights that were held out."""
-    count = len(lights)
-    if count < MIN_LIGHTS_HELD_OUT:
-        report.append(f"lambert: {count} lights are too few to hold any out (from {MIN_LIGHTS_HELD_OUT} on).")
-        return "lambert", {}
-    held = _hold_out(lights, seed)
-    if held is None:
-        report.append("lambert: no quarter of the lights can be held out, the others would lie in one plane.")
-        return "lambert", {}
-    scale = _scale(sample)
-    scores: dict[str, float] = {}
-    listed = []
-    for model in ("lambert", AUTO_MODEL):
-        sigma = 0.0 if model == "lambert" else _find_roughness(sample[:, ~held], lights[~held], model, [])
-        fitted = robust_fit.fit(sample[:, ~held], lights[~held], model, sigma, lit_only=True)
-        predicted = robust_fit.predict(fitted, lights[held], model, sigma)
-        scores[model] = _score(sample[:, held], predicted, scale)
-        rough = f" with roughness {math.degrees(sigma):.1f} degrees" if model != "lambert" else ""
-        listed.append(f"{model}{rough} {scores[model]:.4f}")
-    best = min(scores.values())
-    chosen = next(model for model, score in scores.items() if score <= best * (1 + TOLERANCE))
-    report.append(
-        f"{chosen} chosen: error on {int(held.sum())} held-out lights, as a share of the mean: {', '.join(listed)}; "
-        f"the simplest model within {TOLERANCE:.0%} of the best is taken."
-    )
-    return chosen, scores
-
-
-def _find_roughness(sample: Tensor, lights: Tensor, model: str, report: list[str]) -> float:
-    """The roughness that explains the sample best: a coarse grid, a finer one, then a parabola."""
-    if len(lights) < MIN_LIGHTS_ROUGHNESS:
-        raise CaptureError(
-            "lights",
-            expected=f"at least {MIN_LIGHTS_ROUGHNESS} to find a roughness",
-            got=str(len(lights)),
-            mend="photograph under more lights, or use model='lambert'",
-        )
-    scale = _scale(sample)
-
-    fits: dict[float, robust_fit.PixelFit] = {}
-    costs: dict[float, float] = {}
-
-    def visit(sigma: float, start: robust_fit.PixelFit | None) -> None:
-        fits[sigma] = robust_fit.fit(sample, lights, model, sigma, steps=4 if start else 8, start=start)
-        costs[sigma] = _score(sample, robust_fit.predict(fits[sigma], lights, model, sigma), scale)
-
-    for before, sigma in zip((None, *_COARSE), _COARSE, strict=False):
-        visit(sigma, None if before is None else fits[before])
-    best = min(costs, key=costs.__getitem__)
-    for sigma in (best - _FINE, best + _FINE):
-        if sigma > 0:
-            visit(sigma, fits[best])
-    best = min(costs, key=costs.__getitem__)
-    sigma = _parabola(costs, best)
-    limit = " (the end of the search: it may be more)" if sigma >= _COARSE[-1] else ""
-    report.append(f"roughness {math.degrees(sigma):.1f} degrees{limit}, one for the whole capture.")
-    return sigma
-
-
-def _parabola(costs: dict[float, float], best: float) -> float:
-    """Lowest point of the parabola through the best sample and its neighbours; ``best`` at an end."""
-    ordered = sorted(costs)
-    at = ordered.index(best)
-    if at in (0, len(ordered) - 1):
-        return best
-    x0, x1, x2 = ordered[at - 1 : at + 2]
-    left, right = (costs[x1] - costs[x0]) / (x1 - x0), (costs[x2] - costs[x1]) / (x2 - x1)
-    curvature = (right - left) / (x2 - x0)
-    return min(max((x0 + x1) / 2 - left / (2 * curvature), x0), x2) if curvature > 0 else best

@@ -1,0 +1,244 @@
+"""Choose the simplest material that explains photographs: by the error on lights that were held out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from . import _robust_fit as robust_fit
+from ._robust_fit import PixelFit, mean_of
+from .errors import CaptureError
+from .material import Material
+
+AUTO_MODEL = "vcavity"
+"""The Oren-Nayar model that ``auto`` weighs against Lambert: the one nearest to the theory."""
+TOLERANCE = 0.02
+"""The simplest material within this share of the best held-out score is chosen."""
+ERROR_CAP = 0.15
+"""Scores cut absolute errors at this share of a pixel's mean, so that shadows and highlights weigh little."""
+DISAGREEMENT = 0.1
+"""What a radian between the normals of two fits adds to a score: images do not show a misfit that went there."""
+IDENTIFIABLE = math.radians(5)
+"""A roughness with a larger standard error than this is not told by the photographs."""
+SAMPLE_PIXELS = 2500
+MIN_LIGHTS_ROUGHNESS = 5
+MIN_LIGHTS_HELD_OUT = 8
+MIN_LIGHTS_LOBES = 12
+MIN_LIGHTS_HALVES = 20
+MAX_CONDITION = 30
+LOBES: tuple[tuple[tuple[int, ...], ...], ...] = (((),), ((64,), (32,), (16,), (8,)), ((16, 128), (8, 64)))
+"""Exponents that are tried for no lobe, one and two, sharper ones first."""
+FALLOFFS = (1.05, 1.1, 1.15, 1.2, 1.3, 1.4)
+ROUGHNESSES = tuple(math.radians(s) for s in (8, 16, 24, 32, 40, 48, 56, 64))
+_FINE = math.radians(4)
+
+
+@dataclass(frozen=True)
+class Choice:
+    """The material chosen, and why.
+
+    Attributes:
+        material: with the numbers that fit the training lights.
+        scores: held-out error of every kind of material as a share of the pixel's mean, lower is better.
+        reason: one sentence.
+    """
+
+    material: Material
+    scores: dict[str, float]
+    reason: str
+
+
+def choose(sample: Tensor, lights: Tensor, seed: int) -> Choice:
+    """The simplest sufficient material for pixels (P, K), by the error on lights that were held out."""
+    count = len(lights)
+    if count < MIN_LIGHTS_HELD_OUT:
+        return Choice(
+            Material(), {}, f"lambert: {count} lights are too few to hold any out (from {MIN_LIGHTS_HELD_OUT} on)."
+        )
+    held = hold_out(lights, seed)
+    if held is None:
+        return Choice(Material(), {}, "lambert: no lights can be held out, the others would lie in one plane.")
+    folds = [_Fold.of(sample, lights, out) for out in held]
+    tried: dict[Material, float] = {}
+
+    def score(material: Material) -> float:
+        if material not in tried:
+            (first, missed), (second, missed_too) = (fold.trial(material) for fold in folds)
+            apart = torch.atan2(
+                torch.linalg.cross(first.normal, second.normal).norm(dim=1), (first.normal * second.normal).sum(1)
+            )
+            disagreement = apart.clamp(max=math.radians(20)).mean().item()
+            tried[material] = (missed + missed_too) / 2 + DISAGREEMENT * disagreement
+        return tried[material]
+
+    best = [min(kind, key=score) for kind in _kinds(score, lobes=count >= MIN_LIGHTS_LOBES)]
+    scores = {material.name: score(material) for material in best}
+    chosen = _first_sufficient(best, score)
+    listed = ", ".join(f"{material} {score(material):.4f}" for material in best)
+    return Choice(
+        chosen,
+        scores,
+        f"{chosen} chosen: error on held-out lights as a share of the mean, plus a tenth of the angle between the "
+        f"normals of two fits: {listed}; the simplest within {TOLERANCE:.0%} of the best is taken.",
+    )
+
+
+@dataclass(frozen=True)
+class _Fold:
+    """Lights to fit, lights to predict, and a start for the fits."""
+
+    shown: Tensor
+    hidden: Tensor
+    trained: Tensor
+    held: Tensor
+    unit: Tensor
+    start: PixelFit
+
+    @staticmethod
+    def of(sample: Tensor, lights: Tensor, out: Tensor) -> _Fold:
+        shown = sample[:, ~out].contiguous()
+        start = robust_fit.fit(shown, lights[~out], Material(), used="middle", steps=8)
+        return _Fold(shown, sample[:, out], lights[~out], lights[out], mean_of(sample), start)
+
+    def trial(self, material: Material) -> tuple[PixelFit, float]:
+        """The fit to the lights shown, and its error on the others."""
+        fitted = robust_fit.fit(self.shown, self.trained, material, start=self.start, steps=12)
+        return fitted, error(self.hidden, robust_fit.predict(fitted, self.held, material), self.unit)
+
+
+def _kinds(score: Callable[[Material], float], *, lobes: bool) -> Iterator[Sequence[Material]]:
+    """Candidates by kind, the simplest kind first: lobes cost each pixel a number, falloff and roughness the object."""
+    for sets in LOBES if lobes else LOBES[:1]:
+        # Of highlights that explain as well the sharpest: a broad one can pass for matt light.
+        plain = [Material(exponents=exponents) for exponents in sets]
+        base = _first_sufficient(plain, score)
+        yield [base]
+        yield _descend([replace(base, falloff=k) for k in FALLOFFS], score)
+        yield _descend([replace(base, model=AUTO_MODEL, roughness=s) for s in ROUGHNESSES], score)
+
+
+def _first_sufficient(materials: Sequence[Material], score: Callable[[Material], float]) -> Material:
+    """The first material whose score is within the tolerance of the best."""
+    enough = min(map(score, materials)) * (1 + TOLERANCE)
+    return next(material for material in materials if score(material) <= enough)
+
+
+def _descend(path: Sequence[Material], score: Callable[[Material], float]) -> Sequence[Material]:
+    """The path up to where the score has risen twice."""
+    for end in range(2, len(path)):
+        if score(path[end]) > score(path[end - 1]) > score(path[end - 2]):
+            return path[: end + 1]
+    return path
+
+
+def refine(sample: Tensor, lights: Tensor, material: Material) -> Material:
+    """Falloff or roughness that explains the sample best: from the material's own, finer steps and a parabola."""
+    if material.model != "lambert":
+        grid, step, name, least = ROUGHNESSES, _FINE, "roughness", 0.0
+    elif material.falloff != 1:
+        grid, step, name, least = FALLOFFS, 0.025, "falloff", 1.0
+    else:
+        return material
+    unit = mean_of(sample)
+    fits: dict[float, PixelFit] = {}
+    costs: dict[float, float] = {}
+
+    def visit(value: float, start: PixelFit | str, steps: int) -> None:
+        trial = replace(material, **{name: value})  # type: ignore[arg-type]
+        fits[value] = robust_fit.fit(sample, lights, trial, start=start, steps=steps)
+        costs[value] = error(sample, robust_fit.predict(fits[value], lights, trial), unit)
+
+    begin: PixelFit | str = robust_fit.fit(sample, lights, Material(), used="middle", steps=8)
+    for value in (least, *grid):
+        visit(value, begin, 4 if costs else 8)
+        begin = fits[value]
+    best = min(costs, key=costs.__getitem__)
+    for value in (best - step, best + step):
+        if value > least:
+            visit(value, fits[best], 4)
+    found = _parabola(costs)
+    if name == "falloff":  # what highlights and shadows leave open is not taken for glaze
+        found = _smallest_sufficient(costs, found)
+    return replace(material, **{name: found})  # type: ignore[arg-type]
+
+
+def _smallest_sufficient(costs: dict[float, float], best: float) -> float:
+    """The smallest value up to ``best`` whose cost, drawn as straight lines, is within a quarter of the tolerance."""
+    enough = min(costs.values()) * (1 + TOLERANCE / 4)
+    ordered = sorted(value for value in costs if value <= best)
+    for low, high in zip(ordered, ordered[1:], strict=False):
+        if costs[low] <= enough:
+            return low
+        if costs[high] <= enough:
+            return high - (high - low) * (enough - costs[high]) / (costs[low] - costs[high])
+    return best
+
+
+def find_roughness(sample: Tensor, lights: Tensor, model: str) -> Material:
+    """A model with the one roughness that explains the sample best."""
+    if len(lights) < MIN_LIGHTS_ROUGHNESS:
+        raise CaptureError(
+            "lights",
+            expected=f"at least {MIN_LIGHTS_ROUGHNESS} to find a roughness",
+            got=str(len(lights)),
+            mend="photograph under more lights, or use model='lambert'",
+        )
+    return refine(sample, lights, Material(model=model, roughness=ROUGHNESSES[0]))
+
+
+def error(observed: Tensor, predicted: Tensor, unit: Tensor) -> float:
+    """Mean absolute error as a share of the pixel's mean, cut at ``ERROR_CAP``."""
+    return ((predicted - observed).abs() / unit).clamp(max=ERROR_CAP).mean().item()
+
+
+def hold_out(lights: Tensor, seed: int) -> tuple[Tensor, Tensor] | None:
+    """Two sets of lights to predict from the others, (K,) bool each: the two halves, with few lights two quarters.
+
+    Drawn so that the others still span space; None if none do.
+    """
+    generator = torch.Generator().manual_seed(seed)
+    size = len(lights) // (2 if len(lights) >= MIN_LIGHTS_HALVES else 4)
+    for _ in range(50):
+        order = torch.randperm(len(lights), generator=generator)
+        sets = torch.zeros(2, len(lights), dtype=torch.bool)
+        sets[0, order[:size]] = True
+        sets[1, order[size : 2 * size]] = True
+        first, second = sets.to(lights.device)
+        if max(condition(lights[~first]), condition(lights[~second])) <= MAX_CONDITION:
+            return first, second
+    return None
+
+
+def condition(lights: Tensor) -> float:
+    """Condition number of the light directions: how much noise in the images is amplified."""
+    largest, *_, smallest = torch.linalg.svdvals(lights.detach().cpu().double()).tolist()
+    return float(largest / max(smallest, 1e-12))
+
+
+def _parabola(costs: dict[float, float]) -> float:
+    """Lowest point of the parabola through the best sample and its neighbours; the best itself at an end."""
+    ordered = sorted(costs)
+    best = min(costs, key=costs.__getitem__)
+    at = ordered.index(best)
+    if at in (0, len(ordered) - 1):
+        return best
+    x0, x1, x2 = ordered[at - 1 : at + 2]
+    left, right = (costs[x1] - costs[x0]) / (x1 - x0), (costs[x2] - costs[x1]) / (x2 - x1)
+    curvature = (right - left) / (x2 - x0)
+    return min(max((x0 + x1) / 2 - left / (2 * curvature), x0), x2) if curvature > 0 else best
+
+
+def roughness_error(sample: Tensor, lights: Tensor, material: Material) -> float:
+    """Standard error of the roughness in radians, from the curvature of the fit; infinite where it has no say.
+
+    What normals, albedo and lobes can imitate is taken off, pixel by pixel.
+    """
+    fitted = robust_fit.fit(sample, lights, material)
+    information = 0.0
+    for part in robust_fit.chunks(sample):
+        information += robust_fit.information(fitted[part], sample[part], lights, material)
+    return 1 / math.sqrt(information) if information > 0 else math.inf
