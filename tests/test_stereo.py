@@ -21,9 +21,9 @@ from torch_orennayar import (
     load_capture,
     photometric_stereo,
 )
-from torch_orennayar._robust_fit import solve3
+from torch_orennayar._robust_fit import solve_symmetric
 from torch_orennayar.demo import spiral_lights
-from torch_orennayar.stereo import _hold_out
+from torch_orennayar.selection import hold_out
 
 
 def mean_error(found: Reconstruction, scene: Scene) -> float:

@@ -31,6 +31,8 @@ SHADOW = 0.08
 """Observations below this share of a pixel's 90th percentile count as shadow."""
 MIN_LIGHTS_RANKED = 10
 """With fewer lights no ranks are left out, only shadows."""
+MIN_RANKED = 6
+"""Where fewer observations than this lie in the chosen ranks and in light, all in light count."""
 MIN_NORMAL_Z = 0.02
 NOISE_FLOOR = 0.01
 """Least standard deviation of the residuals, as a share of the pixel's mean."""
@@ -114,7 +116,7 @@ def fit(
         lights: unit directions.
         material: what all pixels share.
         steps: of Gauss-Newton.
-        used: observations that count: ``"lit"``, all that are not in shadow, or ``"middle"``, the middle ranks.
+        used: observations that count: ``"lit"``, all that are not in shadow, or ``"middle"``, those of middle rank.
         start: an earlier fit of the same pixels, or a name in ``STARTS``.
         toward: (P, 3) normals of the neighbourhood, or None.
         roughness: (P, 1) instead of the material's, or None.
@@ -373,12 +375,15 @@ def _tangent_spread(matrix: Sequence[Sequence[Tensor]]) -> Tensor:
 
 
 def _ranks(grey: Tensor, low: float, high: float) -> Tensor:
-    """1 for observations between two shares of their pixel's ranks, with few lights for those in light."""
+    """1 for observations in light between two shares of their pixel's ranks; for all in light where these are few."""
     count = grey.shape[1]
+    lit = _lit(grey)
     if count < MIN_LIGHTS_RANKED:
-        return _lit(grey)
+        return lit
     order = grey.argsort(1)[:, math.floor(low * count) : math.ceil(high * count)]
-    return torch.zeros_like(grey).scatter_(1, order, 1.0)
+    both = torch.zeros_like(grey).scatter_(1, order, 1.0) * lit
+    enough = (both.sum(1, keepdim=True) >= MIN_RANKED).to(grey)
+    return both * enough + lit * (1 - enough)
 
 
 def _middle(grey: Tensor) -> Tensor:

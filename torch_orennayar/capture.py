@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +20,10 @@ from .progress import track
 LIGHT_FILES = ("light_directions.txt", "lights.txt")
 INTENSITY_FILES = ("light_intensities.txt", "intensities.txt")
 TRUTH_FILES = ("Normal_gt.mat", "normal_gt.npy")
+AMBIENT = "ambient"
+"""Name, without suffix, of a photograph taken with all lights off."""
+HALF_FROM = 1 << 29
+"""Samples of a capture from which images are kept in half precision: 0.05 % of each value, half the memory."""
 
 
 @dataclass(frozen=True)
@@ -27,8 +31,9 @@ class Capture:
     """Photographs of one object under known lights, in linear light.
 
     Attributes:
-        images: (K, 3, H, W) float32, linear, each divided by its light's intensity; 1 is a white
-            Lambertian surface facing the light where intensities are calibrated so.
+        images: (K, 3, H, W) float32 (float16 for captures of more than half a billion samples), linear, each
+            divided by its light's intensity; 1 is a white Lambertian surface facing the light where intensities
+            are calibrated so.
         lights: (K, 3) unit directions to the light, camera frame (x right, y up, z to the viewer).
         intensities: (K, 3) RGB irradiance that the images were divided by.
         mask: (1, H, W) bool, the object.
@@ -45,25 +50,41 @@ class Capture:
     names: tuple[str, ...]
     notes: tuple[str, ...] = field(default=())
 
+    def with_own_intensities(self, *, seed: int = 0) -> Capture:
+        """The capture with intensities found from itself instead of those that it was loaded with."""
+        from .calibrate import own_intensities
+
+        raw = self.images * self.intensities[:, :, None, None].to(self.images)
+        found = own_intensities(raw, self.lights, self.mask, seed=seed)
+        note = f"intensities of the lights found from the capture itself, {found.min():.2f} to {found.max():.2f}."
+        images = raw.div_(found[:, :, None, None])
+        return replace(self, images=images, intensities=found.expand(-1, 3).float(), notes=(*self.notes, note))
+
 
 def load_capture(
     path: str | os.PathLike[str],
     *,
     lights: str | os.PathLike[str] | None = None,
     mask: str | os.PathLike[str] | None = None,
+    chrome: str | os.PathLike[str] | None = None,
+    ambient: str | os.PathLike[str] | None = None,
     encoding: str = "auto",
 ) -> Capture:
-    """Load a capture from a DiLiGenT folder, a folder with a light file, or an ``.lp`` file.
+    """Load a capture from a DiLiGenT folder, a folder with a light file, an ``.lp`` file, or beside a chrome ball.
 
     Looked for in the folder: ``filenames.txt`` (else every image but the mask, in natural order);
     ``light_directions.txt`` or ``lights.txt`` (a line ``x y z`` per image, an image's name may stand
     first) or one ``*.lp``; ``light_intensities.txt`` (1 or 3 numbers per line, default 1); ``mask.png``
-    (brighter than half its maximum; default all pixels); ``Normal_gt.mat`` or ``normal_gt.npy`` ((H, W, 3), truth).
+    (brighter than half its maximum; default all pixels); ``ambient.*``, a photograph with all lights off, which is
+    subtracted; ``Normal_gt.mat`` or ``normal_gt.npy`` ((H, W, 3), truth).
 
     Args:
         path: the folder, or an ``.lp`` file beside its images.
         lights: a light file kept elsewhere.
         mask: a mask image kept elsewhere; white is the object.
+        chrome: a folder of photographs of a mirror ball under the same lights, in the same order, with or without a
+            ``mask.png`` of the ball; directions then come from its highlights and no light file is read.
+        ambient: a photograph with all lights off, kept elsewhere.
         encoding: ``"linear"``, ``"srgb"``, or ``"auto"``: 8-bit files are sRGB-encoded, all others linear.
 
     Returns:
@@ -93,14 +114,20 @@ def load_capture(
     if not source.exists():
         raise FileError(str(source), expected="a capture folder or .lp file", got="nothing there", mend="check it")
     folder = source if source.is_dir() else source.parent
-    light_file = Path(lights) if lights is not None else _find_light_file(source)
+    if chrome is not None and lights is not None:
+        raise FileError(str(chrome), expected="a light file or a chrome ball", got="both", mend="leave one out")
     mask_file = Path(mask) if mask is not None else folder / "mask.png"
-    files, directions = _pair(folder, light_file, mask_file)
+    ambient_file = Path(ambient) if ambient is not None else _find_ambient(folder)
+    others = tuple(f for f in (mask_file, ambient_file) if f is not None)
     notes: list[str] = []
-    images = _read_images(files, encoding, notes)
-    height, width = images.shape[-2:]
+    if chrome is not None:
+        files = _image_files(folder, others)
+        directions = _read_chrome(Path(chrome), len(files), encoding, notes)
+    else:
+        files, directions = _pair(folder, Path(lights) if lights is not None else _find_light_file(source), others)
     intensities = _read_intensities(folder, len(files), notes)
-    images /= intensities[:, :, None, None]
+    images = _read_images(files, encoding, notes, intensities, ambient_file)
+    height, width = images.shape[-2:]
     return Capture(
         images=images,
         lights=directions,
@@ -170,7 +197,50 @@ def _lines(file: Path) -> list[list[str]]:
     return [row for row in rows if row]
 
 
-def _pair(folder: Path, light_file: Path, mask_file: Path) -> tuple[list[Path], Tensor]:
+def _find_ambient(folder: Path) -> Path | None:
+    found = [f for f in sorted(folder.iterdir()) if f.stem.lower() == AMBIENT and f.suffix.lower() in IMAGE_SUFFIXES]
+    return found[0] if found else None
+
+
+def load_ball(
+    path: str | os.PathLike[str], *, mask: str | os.PathLike[str] | None = None, encoding: str = "auto"
+) -> tuple[Tensor, Tensor | None]:
+    """Photographs of a calibration ball, without lights: images (K, 3, H, W) and its mask (1, H, W) or None.
+
+    Args:
+        path: a folder; ``mask.png`` in it, white on the ball, is its mask.
+        mask: a mask kept elsewhere.
+        encoding: as `load_capture` takes it.
+
+    Raises:
+        FileError: as `load_capture`.
+    """
+    folder = Path(path)
+    if not folder.is_dir():
+        raise FileError(str(folder), expected="a folder of photographs", got="no folder", mend="check the name")
+    mask_file = Path(mask) if mask is not None else folder / "mask.png"
+    files = _image_files(folder, (mask_file,))
+    images = _read_images(files, encoding, [], torch.ones(len(files), 3), None)
+    if mask is None and not mask_file.is_file():
+        return images, None
+    return images, _read_mask(mask_file, (images.shape[2], images.shape[3]), required=True, notes=[])
+
+
+def _read_chrome(folder: Path, count: int, encoding: str, notes: list[str]) -> Tensor:
+    """Light directions (K, 3) from photographs of a mirror ball."""
+    from .calibrate import find_ball, find_circle, light_directions
+
+    images, mask = load_ball(folder, encoding=encoding)
+    if len(images) != count:
+        raise FileError(
+            str(folder), expected=f"{count} photographs, one per light", got=str(len(images)), mend="pair them"
+        )
+    ball = find_circle(images) if mask is None else find_ball(mask)
+    notes.append(f"lights from the chrome ball at ({ball.x:.1f}, {ball.y:.1f}), radius {ball.radius:.1f} pixels.")
+    return light_directions(images, ball)
+
+
+def _pair(folder: Path, light_file: Path, others: tuple[Path, ...]) -> tuple[list[Path], Tensor]:
     """Image files and their light directions, matched by name where the light file has names."""
     rows = _lines(light_file)
     if not rows:
@@ -181,10 +251,10 @@ def _pair(folder: Path, light_file: Path, mask_file: Path) -> tuple[list[Path], 
             raise FileError(
                 str(light_file), expected=f"{count} lights as its first line says", got=str(len(rows)), mend="mend it"
             )
-    named = [row[0] for row in rows if len(row) == 4]
+    named = [" ".join(row[:-3]) for row in rows if len(row) > 3]
     if named and len(named) != len(rows):
         raise FileError(str(light_file), expected="a name in all lines or in none", got="both", mend="mend the file")
-    directions = _numbers(light_file, [row[1:] if named else row for row in rows], (3,))
+    directions = _numbers(light_file, [row[-3:] if named else row for row in rows], (3,))
     length = directions.norm(dim=1, keepdim=True)
     for index in ((length - 1).abs() > 0.02).flatten().nonzero().flatten().tolist():
         raise RangeError(
@@ -193,7 +263,7 @@ def _pair(folder: Path, light_file: Path, mask_file: Path) -> tuple[list[Path], 
             got=f"length {length[index].item():.4g}",
             mend=f"divide it by its length; intensities belong into {INTENSITY_FILES[0]}",
         )
-    files = [_inside(folder, name) for name in named] or _image_files(folder, mask_file)
+    files = [_inside(folder, name) for name in named] or _image_files(folder, others)
     if named and (extra := _intensity_file(folder)):
         raise FileError(
             str(extra),
@@ -214,7 +284,8 @@ def _pair(folder: Path, light_file: Path, mask_file: Path) -> tuple[list[Path], 
     return files, (directions / length).float()
 
 
-def _image_files(folder: Path, mask_file: Path) -> list[Path]:
+def _image_files(folder: Path, others: tuple[Path, ...]) -> list[Path]:
+    """Photographs in natural order: those of ``filenames.txt``, or all images but the mask and ``others``."""
     listing = folder / "filenames.txt"
     if listing.is_file():
         return [_inside(folder, " ".join(row)) for row in _lines(listing)]
@@ -223,7 +294,8 @@ def _image_files(folder: Path, mask_file: Path) -> list[Path]:
         return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", file.name)]
 
     def is_photograph(file: Path) -> bool:
-        hidden = file.name.startswith(".") or file.stem.lower() == "mask" or file.resolve() == mask_file.resolve()
+        hidden = file.name.startswith(".") or file.stem.lower() == "mask"
+        hidden = hidden or file.resolve() in {other.resolve() for other in others}
         return file.suffix.lower() in IMAGE_SUFFIXES and not hidden
 
     return sorted(filter(is_photograph, folder.iterdir()), key=natural)
@@ -260,38 +332,65 @@ def _numbers(file: Path, rows: list[list[str]], widths: tuple[int, ...]) -> Tens
     return result
 
 
-def _read_images(files: list[Path], encoding: str, notes: list[str]) -> Tensor:
-    """(K, 3, H, W) linear float32; all of one size and bit depth."""
+def _read_images(
+    files: list[Path], encoding: str, notes: list[str], intensities: Tensor, ambient: Path | None
+) -> Tensor:
+    """(K, 3, H, W) linear, over the intensities; all of one size and bit depth."""
     if not files:
         raise FileError("images", expected="image files in the folder", got="none", mend="check the folder")
-    workers = min(4, os.cpu_count() or 1)
-    with ThreadPoolExecutor(workers) as pool:
-        arrays = list(track(pool.map(read_image, files), "reading images", len(files)))
-    first = arrays[0]
-    for file, array in zip(files, arrays, strict=True):
-        if array.shape[:2] != first.shape[:2]:
-            raise FileError(
-                str(file),
-                expected=f"{first.shape[1]} x {first.shape[0]} pixels as in {files[0].name}",
-                got=f"{array.shape[1]} x {array.shape[0]}",
-                mend="bring all images of a capture to one size",
-            )
-        if array.dtype != first.dtype:
-            raise FileError(
-                str(file),
-                expected=f"{first.dtype} samples as in {files[0].name}",
-                got=str(array.dtype),
-                mend="export all images of a capture with one bit depth",
-            )
+    first = read_image(files[0])
     curved = encoding == "srgb" or (encoding == "auto" and first.dtype == np.uint8)
     guess = "; if they are not, load them with encoding='linear' (--encoding linear)" if encoding == "auto" else ""
     notes.append(f"{first.dtype} images read as {f'sRGB-encoded{guess}' if curved else 'linear light'}.")
-    result = torch.empty(len(arrays), 3, *first.shape[:2])
-    for index, array in enumerate(arrays):
+
+    def decode(file: Path) -> Tensor:
+        array = read_image(file)
+        _check_alike(file, array, files[0], first)
         unit = torch.from_numpy(to_unit(array))
         image = unit.expand(3, -1, -1) if unit.ndim == 2 else unit.permute(2, 0, 1)
-        result[index] = srgb_to_linear(image) if curved else image
+        return srgb_to_linear(image) if curved else image
+
+    shape = (len(files), 3, *first.shape[:2])
+    large = len(files) * 3 * first.shape[0] * first.shape[1] > HALF_FROM
+    if large:
+        notes.append("a large capture: its images are kept in half precision, 0.05 % of each value.")
+    result = torch.empty(shape, dtype=torch.float16 if large else torch.float32)
+    dark = None if ambient is None else decode(ambient)
+    if ambient is not None:
+        notes.append(f"{ambient.name}, taken with all lights off, was subtracted.")
+
+    def fill(index: int) -> None:
+        image = decode(files[index])
+        if dark is not None:
+            image = (image - dark).clamp_min(0)
+        result[index] = image / intensities[index][:, None, None]
+
+    workers = min(4, os.cpu_count() or 1)
+    with ThreadPoolExecutor(workers) as pool:
+        try:
+            list(track(pool.map(fill, range(len(files))), "reading images", len(files)))
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
     return result
+
+
+def _check_alike(file: Path, array: npt.NDArray[np.generic], first_file: Path, first: npt.NDArray[np.generic]) -> None:
+    """All images of a capture have one size and bit depth."""
+    if array.shape[:2] != first.shape[:2]:
+        raise FileError(
+            str(file),
+            expected=f"{first.shape[1]} x {first.shape[0]} pixels as in {first_file.name}",
+            got=f"{array.shape[1]} x {array.shape[0]}",
+            mend="bring all images of a capture to one size",
+        )
+    if array.dtype != first.dtype:
+        raise FileError(
+            str(file),
+            expected=f"{first.dtype} samples as in {first_file.name}",
+            got=str(array.dtype),
+            mend="export all images of a capture with one bit depth",
+        )
 
 
 def _intensity_file(folder: Path) -> Path | None:

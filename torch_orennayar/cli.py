@@ -1,4 +1,4 @@
-"""The command ``orennayar``: demo, render, stereo, export, info. Angles on the command line are degrees."""
+"""The command ``orennayar``: demo, render, stereo, calibrate, export, info. Angles on the command line are degrees."""
 
 from __future__ import annotations
 
@@ -35,6 +35,9 @@ Output = Annotated[Path, typer.Option("-o", "--output", help="Folder for the res
 Seed = Annotated[int, typer.Option(help="Seed of everything drawn at random.", min=0, max=2**63 - 1)]
 ModelName = Annotated[str, typer.Option(help="Reflectance model; `orennayar info` lists them.")]
 Roughness = Annotated[float, typer.Option(help="Roughness in degrees, 0 to 90.", min=0, max=90)]
+
+MaskFile = Annotated[Path | None, typer.Option(help="Mask image kept elsewhere; white is the object.")]
+Encoding = Annotated[str, typer.Option(help="auto (8-bit is sRGB), linear or srgb.")]
 
 Size = Annotated[int, typer.Option(help="Height and width in pixels.", min=1, max=4096)]
 Azimuth = Annotated[float, typer.Option(help="Degrees that the camera walks to the right.", min=-360, max=360)]
@@ -159,8 +162,13 @@ def stereo(
     output: Output = Path("out"),
     model: Annotated[str, typer.Option(help="auto, or a model that `orennayar info` lists.")] = "auto",
     lights: Annotated[Path | None, typer.Option(help="Light file kept elsewhere.")] = None,
-    mask: Annotated[Path | None, typer.Option(help="Mask image kept elsewhere; white is the object.")] = None,
-    encoding: Annotated[str, typer.Option(help="auto (8-bit is sRGB), linear or srgb.")] = "auto",
+    mask: MaskFile = None,
+    chrome: Annotated[Path | None, typer.Option(help="Folder of a chrome ball under the same lights.")] = None,
+    ambient: Annotated[Path | None, typer.Option(help="Photograph with all lights off; default ambient.*.")] = None,
+    encoding: Encoding = "auto",
+    own_intensities: Annotated[
+        bool, typer.Option("--own-intensities", help="Find how bright each light is from the capture itself.")
+    ] = False,
     least_squares: Annotated[bool, typer.Option("--least-squares", help="Plain Lambertian least squares.")] = False,
     seed: Seed = 0,
 ) -> None:
@@ -173,7 +181,9 @@ def stereo(
         raise RangeError("--least-squares", expected="no --model, or lambert", got=model, mend="leave one of them out")
     check_output(output)
     begun = time.perf_counter()
-    loaded = load_capture(capture, lights=lights, mask=mask, encoding=encoding)
+    loaded = load_capture(capture, lights=lights, mask=mask, chrome=chrome, ambient=ambient, encoding=encoding)
+    if own_intensities:
+        loaded = loaded.with_own_intensities(seed=seed)
     ready = time.perf_counter()
     found = photometric_stereo(
         loaded.images,
@@ -199,6 +209,45 @@ def stereo(
         f"{total:.1f} s in all: {ready - begun:.1f} s loading, {seconds:.1f} s solving; open {output / 'report.html'}",
         markup=False,
     )
+
+
+@app.command()
+def calibrate(
+    kind: Annotated[str, typer.Argument(help="chrome (directions), grey or own (intensities).")],
+    folder: Annotated[Path, typer.Argument(help="Photographs, one per light; for grey and own with a light file.")],
+    output: Output = Path("out"),
+    lights: Annotated[Path | None, typer.Option(help="Light file kept elsewhere (grey, own).")] = None,
+    mask: MaskFile = None,
+    circle: Annotated[
+        tuple[float, float, float] | None, typer.Option(help="The ball: column, row, radius in pixels.")
+    ] = None,
+    encoding: Encoding = "auto",
+) -> None:
+    """Find lights: directions from a chrome ball, intensities from a grey ball or from a capture itself."""
+    from .calibrate import Ball, ball_intensities, find_ball, find_circle, light_directions, own_intensities
+    from .capture import load_ball, load_capture
+    from .results import write_lights
+
+    if kind not in ("chrome", "grey", "own"):
+        raise RangeError("KIND", expected="chrome, grey or own", got=kind, mend="choose one")
+    check_output(output)
+    if kind == "chrome":
+        images, shape = load_ball(folder, mask=mask, encoding=encoding)
+    else:
+        loaded = load_capture(folder, lights=lights, mask=mask, encoding=encoding)
+        images, shape = loaded.images * loaded.intensities[:, :, None, None], loaded.mask
+    if kind == "own":
+        values, name = own_intensities(images, loaded.lights, loaded.mask), "light_intensities.txt"
+    else:
+        whole = shape is None or bool(shape.all())
+        ball = Ball(*circle) if circle else find_circle(images) if shape is None or whole else find_ball(shape)
+        out.print(f"ball at column {ball.x:.1f}, row {ball.y:.1f}, radius {ball.radius:.1f} pixels", markup=False)
+        if kind == "chrome":
+            values, name = light_directions(images, ball), "light_directions.txt"
+        else:
+            values, name = ball_intensities(images, loaded.lights, ball), "light_intensities.txt"
+    write_lights(output, name, values)
+    out.print(f"{len(values)} lights; wrote {output / name}", markup=False)
 
 
 @app.command()

@@ -6,7 +6,7 @@ import json
 import math
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,17 +16,19 @@ from torch import Tensor
 
 from .capture import Capture
 from .figures import crop_to, save_bars, save_maps, save_sheet, show_light, show_normals
-from .files import atomic_directory
-from .images import encode_normals, linear_to_srgb, write_image
+from .files import atomic_directory, atomic_path
+from .images import encode_normals, linear_to_srgb, write_animation, write_image
 from .integrate import integrate_normals
+from .material import Material
 from .mesh import depth_to_mesh, save_mesh
 from .metrics import angular_error
 from .reconstruction import Reconstruction
 from .render import NormalMap
 from .report import Section, write_report
 
-OPTIONAL = {"error.npy", "error.png", "scores.png"}
+OPTIONAL = {"error.npy", "error.png", "scores.png", "specular.npy", "specular.png"}
 """Files that not every reconstruction has."""
+MAX_DEPTH_PIXELS = 4_000_000
 
 
 @dataclass(frozen=True)
@@ -43,9 +45,10 @@ def write_reconstruction(
     """Write every result of one capture; the folder's files appear together or not at all.
 
     ``normal.png`` (16-bit, green up) and ``normal.npy``; ``albedo.png`` (sRGB, stretched) and
-    ``albedo.npy`` (linear); ``roughness``, ``residual``, ``confidence`` and, where truth is known,
-    ``error`` as ``.png`` and ``.npy``; ``depth.npy`` (pixels toward the viewer); ``mesh.ply``;
-    ``result.json``; ``report.html``.
+    ``albedo.npy`` (linear); ``roughness``, ``residual``, ``confidence``, ``specular`` where highlights were
+    fitted and, where truth is known, ``error`` as ``.png`` and ``.npy``; ``depth.npy`` (pixels toward the viewer);
+    ``mesh.ply``; ``relight.gif``; ``result.json``; ``report.html``. Depth and mesh of more than 4 million pixels
+    are made at a fraction of the resolution, which ``result.json`` names.
 
     Args:
         folder: made if need be; files of other names in it stay.
@@ -62,7 +65,7 @@ def write_reconstruction(
     """
     mask = capture.mask.cpu()
     arrays = {name: getattr(found, name).cpu() for name in ("normal", "albedo", "roughness", "residual", "confidence")}
-    arrays["depth"] = integrate_normals(arrays["normal"], mask)
+    depth, step = _integrate(arrays["normal"], mask)
     error = None
     if capture.normal is not None:
         error = angular_error(arrays["normal"], capture.normal, mask)
@@ -74,18 +77,25 @@ def write_reconstruction(
         "model": found.model,
         "scores": found.scores,
         "roughness_degrees": math.degrees(arrays["roughness"].max().item()),
+        "roughness_error_degrees": _in_degrees(found.roughness_error),
+        "falloff": found.falloff,
+        "exponents": list(found.exponents),
+        "depth_step": step,
         "normal_error_degrees": None if error is None else error.summary(),
         "seconds": seconds,
         "report": [*capture.notes, *found.report],
     }
+    if found.specular is not None:
+        arrays["specular"] = found.specular.cpu()
     with atomic_directory(folder) as temporary:
-        for name, array in arrays.items():
+        for name, array in (*arrays.items(), ("depth", depth)):
             np.save(temporary / f"{name}.npy", array.numpy())
         write_image(temporary / "normal.png", encode_normals(arrays["normal"], mask), bits=16)
         stretched, top = _stretch(arrays["albedo"], mask)
         write_image(temporary / "albedo.png", linear_to_srgb(stretched) * mask)
         _draw_maps(temporary, arrays, mask)
-        _write_mesh(temporary / "mesh.ply", arrays["depth"], stretched, mask)
+        _write_mesh(temporary / "mesh.ply", depth, stretched[:, ::step, ::step], mask[:, ::step, ::step])
+        _write_relighting(temporary / "relight.gif", found, top)
         (temporary / "result.json").write_text(json.dumps(numbers, indent=2) + "\n")
         _write_page(temporary, title, numbers, arrays, stretched, top, mask)
         written = {p.name for p in temporary.iterdir()}
@@ -129,6 +139,15 @@ def write_render(
             save_sheet(temporary / "lights.png", [dict(shown[k : k + columns]) for k in range(0, len(shown), columns)])
 
 
+def _say_roughness(numbers: dict[str, Any]) -> str:
+    if numbers["model"] == "lambert":
+        return "none"
+    error = numbers["roughness_error_degrees"]
+    return f"{numbers['roughness_degrees']:.1f} degrees, " + (
+        "not told by the photographs" if error is None else f"standard error {error:.1f}"
+    )
+
+
 def _stretch(albedo: Tensor, mask: Tensor) -> tuple[Tensor, float]:
     """Albedo over its 99th percentile, for looking at: the exposure of a capture is seldom known."""
     values = albedo[:, mask[0]].amax(0)
@@ -142,8 +161,47 @@ def _draw_maps(folder: Path, arrays: dict[str, Tensor], mask: Tensor) -> None:
     save_maps(
         folder / "confidence.png", {"confidence": arrays["confidence"]}, mask, unit="share", top=1, palette="viridis"
     )
+    if "specular" in arrays:
+        lobes = {f"highlight {k + 1}": lobe.mean(0, True) for k, lobe in enumerate(arrays["specular"])}
+        save_maps(folder / "specular.png", lobes, mask, unit="strength", palette="viridis")
     if "error" in arrays:
         save_maps(folder / "error.png", {"angular error": arrays["error"]}, mask, unit="degrees", top=20)
+
+
+def _in_degrees(angle: float | tuple[float, ...]) -> float | None:
+    """None for infinity, which JSON does not know."""
+    return math.degrees(angle) if isinstance(angle, float) and math.isfinite(angle) else None
+
+
+def _integrate(normal: Tensor, mask: Tensor) -> tuple[Tensor, int]:
+    """Height toward the viewer in pixels, and every how many pixels it was taken."""
+    step = math.ceil(math.sqrt(max(1.0, int(mask.sum()) / MAX_DEPTH_PIXELS)))
+    return integrate_normals(normal[:, ::step, ::step], mask[:, ::step, ::step]) * step, step
+
+
+def _write_relighting(path: Path, found: Reconstruction, top: float) -> None:
+    """The object under a light that goes round it, at a size for looking."""
+    step = math.ceil(max(found.normal.shape[1:]) / 320)
+    small = replace(
+        found,
+        **{name: getattr(found, name)[:, ::step, ::step].cpu() for name in ("normal", "albedo", "roughness")},
+        specular=None if found.specular is None else found.specular[:, :, ::step, ::step].cpu(),
+    )
+    mask = (small.normal != 0).any(0, keepdim=True)
+    angle = torch.arange(24) * (2 * math.pi / 24)
+    lights = torch.stack((angle.sin(), angle.cos(), torch.full_like(angle, 1.2)), 1)
+    images = small.shade(torch.nn.functional.normalize(lights, dim=1)) / top
+    write_animation(
+        path, [show_light(image if len(image) in (1, 3) else image.mean(0, True), mask) for image in images]
+    )
+
+
+def write_lights(folder: str | os.PathLike[str], name: str, values: Tensor) -> Path:
+    """Write light directions or intensities, a line per light, as `load_capture` reads them."""
+    target = Path(folder) / name
+    with atomic_path(target) as temporary:
+        np.savetxt(temporary, values.cpu().double().numpy(), fmt="%.8f")
+    return target
 
 
 def _write_mesh(path: Path, depth: Tensor, albedo: Tensor, mask: Tensor) -> None:
@@ -167,7 +225,9 @@ def _write_page(
     save_sheet(folder / "overview.png", [overview])
     rows = [
         ("model", str(numbers["model"])),
-        ("roughness", "none" if numbers["model"] == "lambert" else f"{numbers['roughness_degrees']:.1f} degrees"),
+        ("roughness", _say_roughness(numbers)),
+        ("falloff at grazing light", "none" if numbers["falloff"] == 1 else f"exponent {numbers['falloff']:.2f}"),
+        ("highlights", ", ".join(f"exponent {p}" for p in numbers["exponents"]) or "none"),
         ("images", str(numbers["images"])),
         ("pixels", str(numbers["pixels"])),
     ]
@@ -186,12 +246,17 @@ def _write_page(
         )
     ]
     if numbers["scores"]:
-        save_bars(
-            folder / "scores.png", numbers["scores"], unit="held-out error, share of mean", highlight=numbers["model"]
+        chosen = Material(numbers["model"], falloff=numbers["falloff"], exponents=tuple(numbers["exponents"])).name
+        save_bars(folder / "scores.png", numbers["scores"], unit="score, share of the mean", highlight=chosen)
+        text = (
+            "Each candidate was fitted twice, each time without some of the lights. The bars show its error on these, "
+            "and a tenth of the angle in radians between the normals of the two fits. The simplest within 2 % of the "
+            "best, drawn in colour, was taken.",
         )
-        text = ("Each candidate was fitted on three lights of four; the bars show its error on the others.",)
         sections.append(Section("Why this model", text, pictures=(folder / "scores.png",)))
-    maps = [folder / f"{name}.png" for name in ("residual", "confidence", "roughness")]
+    sections.append(Section("Under other lights", pictures=(folder / "relight.gif",)))
+    names = ("residual", "confidence", "roughness", *(("specular",) if "specular" in arrays else ()))
+    maps = [folder / f"{name}.png" for name in names]
     if "error" in arrays:
         sections.append(Section("Error against the true normals", pictures=(folder / "error.png",)))
     sections.append(Section("Maps", pictures=maps))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -78,12 +79,12 @@ def choose(sample: Tensor, lights: Tensor, seed: int) -> Choice:
     best = [min(kind, key=score) for kind in _kinds(score, lobes=count >= MIN_LIGHTS_LOBES)]
     scores = {material.name: score(material) for material in best}
     chosen = _first_sufficient(best, score)
-    listed = ", ".join(f"{material} {score(material):.4f}" for material in best)
+    listed = ", ".join(f"{name} {value:.4f}" for name, value in scores.items())
     return Choice(
         chosen,
         scores,
-        f"{chosen} chosen: error on held-out lights as a share of the mean, plus a tenth of the angle between the "
-        f"normals of two fits: {listed}; the simplest within {TOLERANCE:.0%} of the best is taken.",
+        f"{chosen.name} chosen, the simplest within {TOLERANCE:.0%} of the best; scores, the error on held-out lights "
+        f"and disagreement of the normals of two fits: {listed}.",
     )
 
 
@@ -170,7 +171,7 @@ def _smallest_sufficient(costs: dict[float, float], best: float) -> float:
     """The smallest value up to ``best`` whose cost, drawn as straight lines, is within a quarter of the tolerance."""
     enough = min(costs.values()) * (1 + TOLERANCE / 4)
     ordered = sorted(value for value in costs if value <= best)
-    for low, high in zip(ordered, ordered[1:], strict=False):
+    for low, high in itertools.pairwise(ordered):
         if costs[low] <= enough:
             return low
         if costs[high] <= enough:
