@@ -202,7 +202,7 @@ def common_cost(fitted: PixelFit, noise: Tensor, grey: Tensor, lights: Tensor, m
 
     def work(part: slice) -> Tensor:
         seen = grey[part]
-        lit = _lit(seen)
+        lit = in_light(seen)
         share = ((seen - predict(fitted[part], lights, material)) / (2 * noise[part] * mean_of(seen))).square()
         return (lit * share / (1 + share)).sum(1) / lit.sum(1)
 
@@ -291,14 +291,19 @@ def _fill(jacobian: Tensor, response: Response, tangents: tuple[Tensor, Tensor],
 def information(fitted: PixelFit, grey: Tensor, lights: Tensor, material: Material) -> float:
     """What the pixels say of the roughness that they share: its inverse variance."""
     unit = mean_of(grey)
-    response = respond(material, fitted.normal, fitted.albedo / unit, fitted.lobes / unit, lights, unit)
+    response = respond(
+        material, fitted.normal, fitted.albedo / unit, fitted.lobes / unit, lights, unit, by_roughness=True
+    )
     if response.by_roughness is None:
         return 0.0
     size = 3 + len(material.exponents)
     jacobian = grey.new_empty(len(grey), size + 1, len(lights))
     _fill(jacobian, response, _tangents(fitted.normal), lights)
     jacobian[:, size] = response.by_roughness
-    weight = weights(fitted, grey, response.value * unit, "lit") / fitted.noise.square()
+    used = weights(fitted, grey, response.value * unit, "lit")
+    spare = (used.sum(1, keepdim=True) - size).clamp_min(0.5)  # observations beyond what the unknowns use up
+    weight = used * spare / used.sum(1, keepdim=True).clamp_min(1e-9) / fitted.noise.square()
+    jacobian, weight = jacobian.double(), weight.double()  # differences of nearly equal sums follow
     products = torch.bmm(jacobian * weight[:, None], jacobian.mT).permute(1, 2, 0)
     rows = [list(row.unbind(0)) for row in products[:size, :size]]
     for axis in range(size):
@@ -377,7 +382,7 @@ def _tangent_spread(matrix: Sequence[Sequence[Tensor]]) -> Tensor:
 def _ranks(grey: Tensor, low: float, high: float) -> Tensor:
     """1 for observations in light between two shares of their pixel's ranks; for all in light where these are few."""
     count = grey.shape[1]
-    lit = _lit(grey)
+    lit = in_light(grey)
     if count < MIN_LIGHTS_RANKED:
         return lit
     order = grey.argsort(1)[:, math.floor(low * count) : math.ceil(high * count)]
@@ -390,7 +395,7 @@ def _middle(grey: Tensor) -> Tensor:
     return _ranks(grey, 0.2, 0.8)
 
 
-def _lit(grey: Tensor) -> Tensor:
+def in_light(grey: Tensor) -> Tensor:
     """1 for observations that are not in shadow; at least the three brightest."""
     count = grey.shape[1]
     threshold = SHADOW * grey.kthvalue(max(1, round(0.9 * count)), dim=1, keepdim=True).values
@@ -418,7 +423,7 @@ def _start_highlight(grey: Tensor, lights: Tensor) -> tuple[Tensor, Tensor]:
     """The mean half vector of the brightest 5 %: where a highlight is, the normal is there."""
     brightest = grey.topk(max(1, round(0.05 * grey.shape[1])), 1).indices
     normal = _upward(half_vectors(lights)[brightest].mean(1))
-    cosine = (normal @ lights.T).relu() * _lit(grey)
+    cosine = (normal @ lights.T).relu() * in_light(grey)
     albedo = (cosine * grey).sum(1, keepdim=True) / cosine.square().sum(1, keepdim=True).clamp_min(1e-6)
     return normal, albedo.clamp_min(1e-3)
 
@@ -429,4 +434,4 @@ STARTS: dict[str, Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]] = {
     "highlight": _start_highlight,
 }
 """Where a fit may begin: normal and albedo from observations over their mean."""
-_SELECTIONS: dict[str, Callable[[Tensor], Tensor]] = {"middle": _middle, "lit": _lit, "all": torch.ones_like}
+_SELECTIONS: dict[str, Callable[[Tensor], Tensor]] = {"middle": _middle, "lit": in_light, "all": torch.ones_like}

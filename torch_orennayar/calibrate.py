@@ -18,7 +18,9 @@ HIGHLIGHT = 0.5
 """A highlight is what is brighter than this share of the brightest pixel on the ball."""
 RIVAL = 0.5
 """A second spot of this share of the first one's area makes it unclear which is the light."""
-ROUNDS = 20
+ROUNDS = 40
+OVERSHOOT = 1.8
+"""Taking turns creeps; steps this much longer arrive sooner."""
 SAMPLE_PIXELS = 4000
 
 
@@ -262,7 +264,7 @@ def own_intensities(images: Tensor, lights: Tensor, mask: Tensor | None = None, 
         predicted = robust_fit.predict(fitted, directions, Material())
         weight = robust_fit.weights(fitted, seen, predicted, "lit") / robust_fit.mean_of(seen).square()
         gain = (weight * seen * predicted).sum(0) / (weight * predicted.square()).sum(0).clamp_min(1e-12)
-        intensity = intensity * gain
+        intensity = intensity * gain**OVERSHOOT
         intensity = intensity / intensity.mean()
     return intensity.T.to(images)
 

@@ -63,7 +63,7 @@ class Response:
         by_view: (P, K) or None for 0.
         by_half: (P, K) or None for 0.
         columns: (P, K) each: the derivative by albedo, then by the strength of each lobe.
-        by_roughness: (P, K) or None for 0.
+        by_roughness: (P, K), or None for 0 or where it was not asked for.
     """
 
     value: Tensor
@@ -87,6 +87,8 @@ def respond(
     lights: Tensor,
     unit: Tensor,
     roughness: Reach | None = None,
+    *,
+    by_roughness: bool = False,
 ) -> Response:
     """Evaluate ``material`` for P pixels.
 
@@ -98,13 +100,14 @@ def respond(
         lights: (K, 3).
         unit: (P, 1) what observations were divided by: light between facets depends on the albedo itself.
         roughness: instead of the material's, a number or (P, 1).
+        by_roughness: whether that derivative is wanted too.
     """
     raw = normal @ lights.T
     lit = raw.sign().relu()
     ci = raw.relu()
     by_view: Tensor | None
     if material.model == "lambert":
-        by_roughness = None
+        by_sigma = None
         if material.falloff == 1:
             value, by_light, by_view, by_albedo = albedo * ci, albedo * lit, None, ci
         else:
@@ -115,7 +118,10 @@ def respond(
             by_light, by_view = value * (k / safe), value * ((k - 1) / co)
     else:
         sigma = material.roughness if roughness is None else roughness
-        value, by_light, by_view, by_albedo, by_roughness = _rough(
+        sigma = sigma.to(raw) if isinstance(sigma, Tensor) else raw.new_tensor(sigma)
+        if by_roughness:
+            sigma = sigma.expand_as(raw).contiguous()
+        value, by_light, by_view, by_albedo, by_sigma = _rough(
             material.model, raw, lit, normal, albedo, lights, unit, sigma
         )
     columns = [by_albedo]
@@ -133,16 +139,15 @@ def respond(
             slope = shining * exponent
             pulled = slope if pulled is None else pulled + slope
         by_half = pulled * ci / nh if pulled is not None else None
-    return Response(value, by_light, by_view, by_half, tuple(columns), by_roughness)
+    return Response(value, by_light, by_view, by_half, tuple(columns), by_sigma if by_roughness else None)
 
 
 def _rough(
-    model: str, raw: Tensor, lit: Tensor, normal: Tensor, albedo: Tensor, lights: Tensor, unit: Tensor, sigma: Reach
+    model: str, raw: Tensor, lit: Tensor, normal: Tensor, albedo: Tensor, lights: Tensor, unit: Tensor, sigma: Tensor
 ) -> tuple[Tensor, Tensor, Tensor | None, Tensor, Tensor | None]:
     """Value and derivatives of a model with roughness: by light, view, albedo and roughness."""
     ci = torch.maximum(raw * lit, 1 - lit).clamp_min(1e-4)
     co, rho = (t.expand_as(ci).contiguous() for t in (normal[:, 2:], albedo * unit))
-    sigma = torch.as_tensor(sigma).to(ci)
     f, (d_ci, d_co, _, d_rho, d_sigma) = pull(get_model(model), (ci, co, lights[:, 2], rho, sigma), lit)
     f = f * lit / unit
     by_light = f if d_ci is None else torch.addcmul(f, ci, d_ci / unit)

@@ -36,8 +36,9 @@ class Reconstruction:
         exponents: of the lobes (one tuple per capture of a batch; a lobe that a capture has not is 0).
         falloff: exponent k of Minnaert's law, the diffuse part times ``(n.l n.v)**(k - 1)``; 1 for none (one
             per capture of a batch, as a tuple).
-        roughness_error: standard error of the roughness in radians as the fit's curvature predicts, 0 without
-            a roughness, infinite where it is not determined (one per capture of a batch, as a tuple).
+        roughness_error: standard error of the roughness in radians, by the fit's curvature and by how far parts
+            of the pixels differ; 0 without a roughness, infinite where these photographs do not tell it (few
+            lights, all near the view); one per capture of a batch, as a tuple.
         depth: None from photometric stereo; `integrate_normals` gives it.
     """
 

@@ -26,6 +26,7 @@ DISAGREEMENT = 0.1
 IDENTIFIABLE = math.radians(5)
 """A roughness with a larger standard error than this is not told by the photographs."""
 SAMPLE_PIXELS = 2500
+QUARTERS = 4
 MIN_LIGHTS_ROUGHNESS = 5
 MIN_LIGHTS_HELD_OUT = 8
 MIN_LIGHTS_LOBES = 12
@@ -144,14 +145,13 @@ def refine(sample: Tensor, lights: Tensor, material: Material) -> Material:
         grid, step, name, least = FALLOFFS, 0.025, "falloff", 1.0
     else:
         return material
-    unit = mean_of(sample)
     fits: dict[float, PixelFit] = {}
     costs: dict[float, float] = {}
 
     def visit(value: float, start: PixelFit | str, steps: int) -> None:
         trial = replace(material, **{name: value})  # type: ignore[arg-type]
         fits[value] = robust_fit.fit(sample, lights, trial, start=start, steps=steps)
-        costs[value] = error(sample, robust_fit.predict(fits[value], lights, trial), unit)
+        costs[value] = _error_in_light(sample, robust_fit.predict(fits[value], lights, trial))
 
     begin: PixelFit | str = robust_fit.fit(sample, lights, Material(), used="middle", steps=8)
     for value in (least, *grid):
@@ -168,8 +168,8 @@ def refine(sample: Tensor, lights: Tensor, material: Material) -> Material:
 
 
 def _smallest_sufficient(costs: dict[float, float], best: float) -> float:
-    """The smallest value up to ``best`` whose cost, drawn as straight lines, is within a quarter of the tolerance."""
-    enough = min(costs.values()) * (1 + TOLERANCE / 4)
+    """The smallest value up to ``best`` whose cost, drawn as straight lines, is within a tenth of the tolerance."""
+    enough = min(costs.values()) * (1 + TOLERANCE / 10)
     ordered = sorted(value for value in costs if value <= best)
     for low, high in itertools.pairwise(ordered):
         if costs[low] <= enough:
@@ -194,6 +194,14 @@ def find_roughness(sample: Tensor, lights: Tensor, model: str) -> Material:
 def error(observed: Tensor, predicted: Tensor, unit: Tensor) -> float:
     """Mean absolute error as a share of the pixel's mean, cut at ``ERROR_CAP``."""
     return ((predicted - observed).abs() / unit).clamp(max=ERROR_CAP).mean().item()
+
+
+def _error_in_light(observed: Tensor, predicted: Tensor) -> float:
+    """`error` over observations that are not in shadow: cast shadows would drown what falloff and roughness change."""
+    lit = robust_fit.in_light(observed)
+    return (
+        ((predicted - observed).abs() / mean_of(observed)).clamp(max=ERROR_CAP) * lit
+    ).sum().item() / lit.sum().item()
 
 
 def hold_out(lights: Tensor, seed: int) -> tuple[Tensor, Tensor] | None:
@@ -234,12 +242,15 @@ def _parabola(costs: dict[float, float]) -> float:
 
 
 def roughness_error(sample: Tensor, lights: Tensor, material: Material) -> float:
-    """Standard error of the roughness in radians, from the curvature of the fit; infinite where it has no say.
+    """Standard error of the roughness in radians: the larger of what two views of the fit say.
 
-    What normals, albedo and lobes can imitate is taken off, pixel by pixel.
+    The curvature of the fit, where what normals, albedo and lobes can imitate is taken off pixel by pixel; and how far
+    the roughnesses of four quarters of the pixels lie apart, which sees a cost with several valleys.
     """
     fitted = robust_fit.fit(sample, lights, material)
-    information = 0.0
-    for part in robust_fit.chunks(sample):
-        information += robust_fit.information(fitted[part], sample[part], lights, material)
-    return 1 / math.sqrt(information) if information > 0 else math.inf
+    parts = robust_fit.chunks(sample)
+    told = sum(robust_fit.information(fitted[part], sample[part], lights, material) for part in parts)
+    curvature = 1 / math.sqrt(told) if told > 0 else math.inf
+    quarters = [refine(part, lights, material).roughness for part in sample.tensor_split(QUARTERS) if len(part)]
+    apart = torch.tensor(quarters).std(correction=1).item() / math.sqrt(len(quarters)) if len(quarters) > 1 else 0.0
+    return max(curvature, apart)

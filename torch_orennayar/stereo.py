@@ -22,6 +22,7 @@ from .reflectance import get_model
 from .selection import (
     IDENTIFIABLE,
     MAX_CONDITION,
+    MIN_LIGHTS_HELD_OUT,
     ROUGHNESSES,
     SAMPLE_PIXELS,
     choose,
@@ -33,6 +34,7 @@ from .selection import (
 
 STEEP = 1.25
 """Surfaces seldom fall off with a larger exponent: of 151 measured materials those under glaze have about 1.1."""
+FRONTAL = math.radians(15)
 SWEEPS = 8
 """Steps in which neighbours pull at pixels that fit badly."""
 
@@ -185,9 +187,17 @@ def _report_roughness(sample: Tensor, lights: Tensor, material: Material, report
         f"roughness {math.degrees(material.roughness):.1f} degrees{limit}, one for the whole capture; standard error "
         f"{math.degrees(uncertain):.1f} degrees from the curvature of the fit."
     )
+    reasons = []
     if uncertain > IDENTIFIABLE:
-        report.append("these photographs do not tell the roughness: take its value as unknown.")
+        reasons.append("its error is large")
+    if len(lights) < MIN_LIGHTS_HELD_OUT:
+        reasons.append(f"{len(lights)} lights are few, and noise then passes for a smoother surface")
+    if bool((lights[:, 2] > math.cos(FRONTAL)).all()):
+        reasons.append(f"all lights are within {math.degrees(FRONTAL):.0f} degrees of the view")
+    if reasons:
+        report.append(f"take the roughness as unknown: {' and '.join(reasons)}.")
         warnings.warn(report[-1], stacklevel=4)
+        return math.inf
     return uncertain
 
 
