@@ -2,8 +2,8 @@
 
     python scripts/evaluate_stereo.py [FOLDER...] [--output out/stereo] [--quick]
 
-Per object and method: mean and median angular error, seconds, and what `auto` chose. Without folders, and with them too,
-a rendered benchmark (`rendered.py`: objects x measured materials x cast shadows) that anyone can run. Then, on the first
+Per object and method: mean and median angular error, seconds, and what `auto` chose. Without folders,
+and with them too, a rendered benchmark (`rendered.py`: objects x measured materials x shadows). Then, on the first
 folder or the first rendered capture: error with few lights, with wrong lights and with wrong intensities, and error
 against predicted error. Writes stereo.json and pictures, prints tables. The seconds of other methods are quoted.
 """

@@ -157,3 +157,58 @@ def test_diligent_and_other_real_folders(data: Path) -> None:
     grey = load_capture(data / "uw_psm" / "gray", lights=data / "uw_psm" / "light_directions.txt")
     assert grey.names[0] == "gray.00.png"
     assert len(grey.lights) == 12
+
+
+def test_names_with_spaces_in_lp_files(capture_folder: Path) -> None:
+    plain = load_capture(capture_folder)
+    rows = []
+    for index, name in enumerate(plain.names):
+        (capture_folder / name).rename(capture_folder / f"my shot {index}.png")
+        rows.append(f"my shot {index}.png {' '.join(f'{v:.7f}' for v in plain.lights[index].tolist())}")
+    (capture_folder / "set.lp").write_text("\n".join([str(len(rows)), *rows]))
+    for name in ("filenames.txt", "light_directions.txt", "light_intensities.txt"):
+        (capture_folder / name).unlink()
+    capture = load_capture(capture_folder)
+    assert capture.names[3] == "my shot 3.png"
+    assert torch.allclose(capture.lights, plain.lights, atol=1e-6)
+
+
+@pytest.mark.parametrize("inside", [True, False])
+def test_ambient_light_is_subtracted(capture_folder: Path, tmp_path: Path, inside: bool) -> None:
+    plain = load_capture(capture_folder)
+    for name in ("filenames.txt", "light_intensities.txt"):
+        (capture_folder / name).unlink()
+    dark = 0.05 * torch.rand(plain.images[0].shape, generator=torch.Generator().manual_seed(0))
+    for name, image in zip(plain.names, plain.images, strict=True):
+        write_image(capture_folder / name, image * 0.9 + dark, bits=16)
+    place = capture_folder / "ambient.png" if inside else tmp_path / "off.png"
+    write_image(place, dark, bits=16)
+    capture = load_capture(capture_folder, ambient=None if inside else place)
+    assert len(capture.images) == len(plain.images)
+    assert (capture.images - 0.9 * plain.images).abs().max() < 1e-4
+    assert any("lights off" in note for note in capture.notes)
+
+
+def test_large_captures_are_kept_in_half_precision(capture_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    plain = load_capture(capture_folder)
+    monkeypatch.setattr("torch_orennayar.capture.HALF_FROM", 1000)
+    half = load_capture(capture_folder)
+    assert half.images.dtype == torch.float16
+    assert torch.allclose(half.images.float(), plain.images, rtol=1e-3, atol=1e-6)
+    assert any("half precision" in note for note in half.notes)
+
+
+def test_own_intensities_of_a_capture(capture_folder: Path) -> None:
+    """Lights 30 % off in the files: the capture finds them from itself."""
+    plain = load_capture(capture_folder)
+    table = [
+        [float(v) for v in row.split()]
+        for row in (capture_folder / "light_intensities.txt").read_text().split("\n")
+        if row
+    ]
+    wrong = [1.3 if k % 3 == 0 else 1.0 for k in range(len(table))]
+    text = "\n".join(" ".join(str(v * w) for v in row) for row, w in zip(table, wrong, strict=True))
+    (capture_folder / "light_intensities.txt").write_text(text)
+    found = load_capture(capture_folder).with_own_intensities()
+    ratio = found.images.mean((1, 2, 3)) / plain.images.mean((1, 2, 3))
+    assert (ratio / ratio.mean() - 1).abs().max() < 0.1

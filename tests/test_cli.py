@@ -9,10 +9,11 @@ import PIL.Image
 import pytest
 import torch
 
-from torch_orennayar import decode_normals, save_mesh
+from torch_orennayar import decode_normals, load_capture, save_mesh
+from torch_orennayar.calibrate import Ball
 from torch_orennayar.cli import main
 from torch_orennayar.demo import make_object
-from torch_orennayar.images import read_image, to_unit
+from torch_orennayar.images import read_image, to_unit, write_image
 
 
 class Result:
@@ -167,3 +168,24 @@ def test_render_walks_around_under_many_lights(orennayar: object, tmp_path: Path
     with PIL.Image.open(walk) as gif:
         assert (gif.n_frames, gif.size) == (5, (34, 34))
     assert read_image(out / "lights.png").shape[0] > 0
+
+
+def test_calibrate_writes_files_that_the_loader_reads(orennayar: object, tmp_path: Path, capture_folder: Path) -> None:
+    ball = Ball(40.0, 30.0, 25.0)
+    normal, inside = ball.normals((60, 80))
+    mirrored = 2 * normal[2:] * normal - torch.tensor((0.0, 0.0, 1.0)).reshape(3, 1, 1)
+    lights = load_capture(capture_folder).lights
+    for index, light in enumerate(lights):
+        shine = ((torch.einsum("chw,c->hw", mirrored, light) - 1) / 0.003).exp()[None] * inside
+        write_image(tmp_path / "chrome" / f"{index:02d}.png", shine, bits=16)
+    circle = ("--circle", "40", "30", "25")
+    result = orennayar("calibrate", "chrome", tmp_path / "chrome", "-o", tmp_path, *circle)  # type: ignore[operator]
+    assert result.status == 0, result.err
+    table = torch.tensor([[float(v) for v in row.split()] for row in (tmp_path / "light_directions.txt").open()])
+    assert ((table * lights).sum(1).clamp(max=1).acos().rad2deg() < 1.5).all()
+    result = orennayar("calibrate", "own", capture_folder, "-o", tmp_path)  # type: ignore[operator]
+    assert result.status == 0, result.err
+    assert len((tmp_path / "light_intensities.txt").read_text().splitlines()) == len(lights)
+    result = orennayar("calibrate", "silver", capture_folder)  # type: ignore[operator]
+    assert result.status == 1
+    assert "chrome, grey or own" in result.err

@@ -6,8 +6,10 @@ from types import ModuleType
 
 import pytest
 import torch
+from conftest import Scene
 
 from torch_orennayar import save_mesh
+from torch_orennayar.capture import save_capture
 from torch_orennayar.demo import make_object
 from torch_orennayar.images import read_image
 
@@ -69,3 +71,13 @@ def test_custom_reflectance_draws_and_exports(tmp_path: Path) -> None:
     finally:
         for name in ("minnaert", "toon"):
             _models.pop(name, None)
+
+
+def test_inverse_rendering_mends_the_lights(tmp_path: Path, rough: Scene) -> None:
+    save_capture(tmp_path / "capture", rough.images, rough.lights, rough.mask)
+    found = load("inverse_rendering").main(str(tmp_path / "capture"), str(tmp_path / "out"))
+    assert found["lights off after"] < 0.5 * found["lights off before"]
+    assert found["roughness, degrees"] == pytest.approx(30, abs=3)
+    assert found["last loss"] < found["first loss"]
+    assert read_image(tmp_path / "out" / "relit.png").ndim == 3
+    assert (tmp_path / "out" / "loss.png").is_file()

@@ -68,11 +68,6 @@ class PixelFit:
     def __getitem__(self, part: slice | Tensor) -> PixelFit:
         return PixelFit(*(getattr(self, f.name)[part] for f in fields(self)))
 
-    @staticmethod
-    def join(parts: Sequence[PixelFit]) -> PixelFit:
-        """All pixels of ``parts``, in order."""
-        return PixelFit(*(torch.cat([getattr(p, f.name) for p in parts]) for f in fields(PixelFit)))
-
 
 def chunks(grey: Tensor) -> list[slice]:
     """Pixels that are solved together: as many as fit in cache, and enough parts for every thread."""
@@ -123,14 +118,18 @@ def fit(
         show: what the progress bar says; empty for none.
     """
     choose = _SELECTIONS[used]
+    whole = PixelFit(*(grey.new_empty(len(grey), n) for n in (3, 1, len(material.exponents), 1, 1, 1)))
 
-    def solve(part: slice) -> PixelFit:
+    def solve(part: slice) -> None:
         begin = STARTS[start] if isinstance(start, str) else start[part]
         near = None if toward is None else toward[part]
         rough = None if roughness is None else roughness[part]
-        return _fit_chunk(grey[part], lights, material, choose, steps, begin, near, rough)
+        found = _fit_chunk(grey[part], lights, material, choose, steps, begin, near, rough)
+        for f in fields(PixelFit):
+            getattr(whole, f.name)[part] = getattr(found, f.name)
 
-    return PixelFit.join(side_by_side(solve, chunks(grey), show))
+    side_by_side(solve, chunks(grey), show)
+    return whole
 
 
 def least_squares(grey: Tensor, lights: Tensor) -> PixelFit:

@@ -365,7 +365,7 @@ def _read_images(
             image = (image - dark).clamp_min(0)
         result[index] = image / intensities[index][:, None, None]
 
-    workers = min(4, os.cpu_count() or 1)
+    workers = min(1 if large else 4, os.cpu_count() or 1)  # a reader holds its image several times over
     with ThreadPoolExecutor(workers) as pool:
         try:
             list(track(pool.map(fill, range(len(files))), "reading images", len(files)))

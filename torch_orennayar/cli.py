@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -194,6 +195,7 @@ def stereo(
         seed=seed,
     )
     seconds = time.perf_counter() - ready
+    loaded = replace(loaded, images=loaded.images[:0].clone())  # large captures: room for drawing
     written = write_reconstruction(output, found, loaded, title=capture.resolve().name, seconds=seconds)
     for line in written.numbers["report"]:
         out.print(line, markup=False)

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 PathLike = str | os.PathLike[str]
+LARGEST_SIDE = 1200
+"""Pictures on sheets and maps are thinned to about this many pixels."""
 
 
 def show_normals(normal: Tensor, mask: Tensor) -> Tensor:
@@ -40,6 +42,12 @@ def crop_to(mask: Tensor) -> tuple[slice, slice]:
     return spans[0], spans[1]
 
 
+def _for_looking(picture: Tensor) -> Tensor:
+    """(C, H, W) at a size that shows: every n-th pixel of large ones."""
+    step = max(1, max(picture.shape[1:]) // LARGEST_SIDE)
+    return picture[:, ::step, ::step]
+
+
 def save_sheet(
     path: PathLike, rows: Sequence[Mapping[str, Tensor]], *, labels: Sequence[str] = (), title: str = ""
 ) -> Path:
@@ -50,7 +58,7 @@ def save_sheet(
         for axis in line:
             axis.axis("off")
         for axis, (caption, picture) in zip(line, row.items(), strict=False):
-            axis.imshow(picture.permute(1, 2, 0).cpu().numpy().clip(0, 1))
+            axis.imshow(_for_looking(picture).permute(1, 2, 0).cpu().numpy().clip(0, 1))
             axis.set_title(caption, fontsize=9)
     for label, line in zip(labels, axes, strict=False):
         line[0].text(-0.06, 0.5, label, transform=line[0].transAxes, rotation=90, va="center", ha="right", fontsize=9)
@@ -72,9 +80,13 @@ def save_maps(
 
     ``top`` is the bar's upper end; default: the largest 99th percentile.
     """
+    mask = _for_looking(mask)
     inside = mask[0].cpu().numpy()
     part = crop_to(mask)
-    arrays = {caption: np.where(inside, m[0].detach().cpu().numpy(), np.nan)[part] for caption, m in maps.items()}
+    arrays = {
+        caption: np.where(inside, _for_looking(m)[0].detach().cpu().numpy(), np.nan)[part]
+        for caption, m in maps.items()
+    }
     highest = top or max(float(np.nanpercentile(a, 99)) for a in arrays.values()) or 1.0
     over = any(np.nanmax(a) > highest for a in arrays.values())
     figure, axes = _grid(1, len(arrays))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -13,6 +13,7 @@ AGREEMENT = 2.0
 """Weight of disagreement with the neighbours against the robust cost when a start is chosen."""
 FIRST_START = 0.1
 """What another start than the first must gain in cost."""
+AROUND = tuple((y, x) for y in (-1, 0, 1) for x in (-1, 0, 1) if (y, x) != (0, 0))
 LARGEST = 0.3
 """Disagreement, ``1 - n.n'``, counts up to here: beyond a depth edge neighbours do not matter."""
 
@@ -35,16 +36,20 @@ class Grid:
         mean = F.avg_pool2d(canvas[None], 2 * radius + 1, 1, radius)[0][:, self.mask].T
         return mean[:, :-1] / mean[:, -1:].clamp_min(torch.finfo(values.dtype).tiny)
 
-    def shifted(self) -> list[tuple[Tensor, Tensor]]:
-        """For each of 8 neighbours its index for every pixel, (P,), and 1 where there is one, (P,); else its own."""
+    def neighbours(self, steps: Sequence[tuple[int, int]] = AROUND) -> Iterator[tuple[Tensor, Tensor]]:
+        """For each step (rows, columns): the neighbour's index for every pixel, (P,), and 1 where there is one, (P,).
+
+        A pixel without that neighbour gets its own index.
+        """
         height, width = self.mask.shape
-        index = torch.full(self.mask.shape, -1, device=self.mask.device)
-        index[self.mask] = torch.arange(int(self.mask.sum()), device=self.mask.device)
+        count = int(self.mask.sum())
+        own = torch.arange(count, dtype=torch.int32, device=self.mask.device)
+        index = torch.full(self.mask.shape, -1, dtype=torch.int32, device=self.mask.device)
+        index[self.mask] = own
         padded = F.pad(index, (1, 1, 1, 1), value=-1)
-        steps = [(y, x) for y in (-1, 0, 1) for x in (-1, 0, 1) if (y, x) != (0, 0)]
-        found = [padded[1 + y : 1 + y + height, 1 + x : 1 + x + width][self.mask] for y, x in steps]
-        own = torch.arange(len(found[0]), device=self.mask.device)
-        return [(torch.where(i >= 0, i, own), (i >= 0).float()) for i in found]
+        for y, x in steps:
+            found = padded[1 + y : 1 + y + height, 1 + x : 1 + x + width][self.mask]
+            yield torch.where(found >= 0, found, own), (found >= 0).float()
 
 
 def neighbourhood_normals(normal: Tensor, noise: Tensor, grid: Grid) -> Tensor:
@@ -58,14 +63,13 @@ def agree(normals: Sequence[Tensor], costs: Sequence[Tensor], grid: Grid, sweeps
     stacked, cost = torch.stack(list(normals)), torch.stack(list(costs))  # (S, P, 3), (S, P)
     cost[1:] += FIRST_START
     choice = cost.argmin(0)
-    around = grid.shifted()
-    known = sum(there for _, there in around)
+    known = torch.stack([there for _, there in grid.neighbours()]).sum(0).clamp_min(1)
     for _ in range(sweeps):
         current = stacked.gather(0, choice[None, :, None].expand(1, -1, 3))[0]
         apart = torch.zeros_like(cost)
-        for index, there in around:
+        for index, there in grid.neighbours():
             apart += (1 - (stacked * current.index_select(0, index)).sum(2)).clamp(max=LARGEST) * there
-        choice = (cost + AGREEMENT * apart / torch.as_tensor(known).clamp_min(1)).argmin(0)
+        choice = (cost + AGREEMENT * apart / known).argmin(0)
     return choice
 
 
@@ -73,9 +77,10 @@ def shared_misfit(residuals: Callable[[slice], Tensor], grid: Grid, count: int) 
     """How much of their residuals neighbours share, (P, 1) in [0, 1].
 
     Noise differs from pixel to pixel, what a model cannot show is alike: the products of neighbours' residuals over
-    their squares tell one from the other. ``residuals`` gives (p, K) for a run of the P = ``count`` pixels.
+    their squares tell one from the other; those to the right and below are enough. ``residuals`` gives (p, K) for a
+    run of the P = ``count`` pixels.
     """
-    around = grid.shifted()
+    around = list(grid.neighbours(((0, 1), (1, 0))))
     reach = 2 * grid.mask.shape[1] + 2
     parts = []
     for begin in range(0, count, max(4 * reach, 4096)):

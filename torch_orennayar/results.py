@@ -72,7 +72,7 @@ def write_reconstruction(
         arrays["error"] = error.as_subclass(torch.Tensor)
     numbers: dict[str, Any] = {
         "title": title,
-        "images": len(capture.images),
+        "images": len(capture.lights),
         "pixels": int(mask.sum()),
         "model": found.model,
         "scores": found.scores,

@@ -95,6 +95,7 @@ class _Fold:
 
     shown: Tensor
     hidden: Tensor
+    lit: Tensor
     trained: Tensor
     held: Tensor
     unit: Tensor
@@ -104,12 +105,13 @@ class _Fold:
     def of(sample: Tensor, lights: Tensor, out: Tensor) -> _Fold:
         shown = sample[:, ~out].contiguous()
         start = robust_fit.fit(shown, lights[~out], Material(), used="middle", steps=8)
-        return _Fold(shown, sample[:, out], lights[~out], lights[out], mean_of(sample), start)
+        lit = robust_fit.in_light(sample)[:, out]
+        return _Fold(shown, sample[:, out], lit, lights[~out], lights[out], mean_of(sample), start)
 
     def trial(self, material: Material) -> tuple[PixelFit, float]:
         """The fit to the lights shown, and its error on the others."""
         fitted = robust_fit.fit(self.shown, self.trained, material, start=self.start, steps=12)
-        return fitted, error(self.hidden, robust_fit.predict(fitted, self.held, material), self.unit)
+        return fitted, error(self.hidden, robust_fit.predict(fitted, self.held, material), self.unit, self.lit)
 
 
 def _kinds(score: Callable[[Material], float], *, lobes: bool) -> Iterator[Sequence[Material]]:
@@ -145,13 +147,14 @@ def refine(sample: Tensor, lights: Tensor, material: Material) -> Material:
         grid, step, name, least = FALLOFFS, 0.025, "falloff", 1.0
     else:
         return material
+    unit, lit = mean_of(sample), robust_fit.in_light(sample)
     fits: dict[float, PixelFit] = {}
     costs: dict[float, float] = {}
 
     def visit(value: float, start: PixelFit | str, steps: int) -> None:
         trial = replace(material, **{name: value})  # type: ignore[arg-type]
         fits[value] = robust_fit.fit(sample, lights, trial, start=start, steps=steps)
-        costs[value] = _error_in_light(sample, robust_fit.predict(fits[value], lights, trial))
+        costs[value] = error(sample, robust_fit.predict(fits[value], lights, trial), unit, lit)
 
     begin: PixelFit | str = robust_fit.fit(sample, lights, Material(), used="middle", steps=8)
     for value in (least, *grid):
@@ -191,17 +194,13 @@ def find_roughness(sample: Tensor, lights: Tensor, model: str) -> Material:
     return refine(sample, lights, Material(model=model, roughness=ROUGHNESSES[0]))
 
 
-def error(observed: Tensor, predicted: Tensor, unit: Tensor) -> float:
-    """Mean absolute error as a share of the pixel's mean, cut at ``ERROR_CAP``."""
-    return ((predicted - observed).abs() / unit).clamp(max=ERROR_CAP).mean().item()
+def error(observed: Tensor, predicted: Tensor, unit: Tensor, lit: Tensor) -> float:
+    """Mean absolute error as a share of the pixel's mean, cut at ``ERROR_CAP``, over observations in light.
 
-
-def _error_in_light(observed: Tensor, predicted: Tensor) -> float:
-    """`error` over observations that are not in shadow: cast shadows would drown what falloff and roughness change."""
-    lit = robust_fit.in_light(observed)
-    return (
-        ((predicted - observed).abs() / mean_of(observed)).clamp(max=ERROR_CAP) * lit
-    ).sum().item() / lit.sum().item()
+    Cast shadows, which no candidate knows, would drown what tells candidates apart.
+    """
+    missed = ((predicted - observed).abs() / unit).clamp(max=ERROR_CAP)
+    return (missed * lit).sum().item() / max(lit.sum().item(), 1.0)
 
 
 def hold_out(lights: Tensor, seed: int) -> tuple[Tensor, Tensor] | None:
