@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from timing import alone
 
 from torch_orennayar import MODELS, linear_to_srgb
 from torch_orennayar.calibrate import Ball
@@ -55,7 +56,10 @@ def main() -> None:
     parser.add_argument("--model", default="auto")
     options = parser.parse_args()
     if not (options.folder / "light_directions.txt").is_file():
-        make(options.folder, options.lights, options.height, options.width)
+        # In a process of its own: a child inherits the peak of its parent.
+        failed = alone(make, options.folder, options.lights, options.height, options.width)
+        if failed:
+            raise SystemExit(str(failed))
     begun = time.perf_counter()
     command = ["stereo", str(options.folder), "-o", str(options.folder / "out"), "--model", options.model]
     subprocess.run([sys.executable, "-m", "torch_orennayar", *command], check=True)

@@ -30,11 +30,15 @@ class Grid:
 
     def mean(self, values: Tensor, weight: Tensor, radius: int = 1) -> Tensor:
         """Weighted mean of (P, C) ``values`` over a square window, the pixel itself included, (P, C)."""
-        canvas = values.new_zeros(values.shape[1] + 1, *self.mask.shape)
-        canvas[:-1, self.mask] = (values * weight).T
-        canvas[-1, self.mask] = weight[:, 0]
-        mean = F.avg_pool2d(canvas[None], 2 * radius + 1, 1, radius)[0][:, self.mask].T
-        return mean[:, :-1] / mean[:, -1:].clamp_min(torch.finfo(values.dtype).tiny)
+        share = self._around(weight[:, 0], radius).clamp_min(torch.finfo(values.dtype).tiny)
+        # Channel by channel: large captures leave little room.
+        return torch.stack([self._around(column * weight[:, 0], radius) / share for column in values.unbind(1)], 1)
+
+    def _around(self, values: Tensor, radius: int) -> Tensor:
+        """Mean of (P,) values over a square window, 0 outside the mask, (P,)."""
+        canvas = values.new_zeros(self.mask.shape)
+        canvas[self.mask] = values
+        return F.avg_pool2d(canvas[None, None], 2 * radius + 1, 1, radius)[0, 0][self.mask]
 
     def neighbours(self, steps: Sequence[tuple[int, int]] = AROUND) -> Iterator[tuple[Tensor, Tensor]]:
         """For each step (rows, columns): the neighbour's index for every pixel, (P,), and 1 where there is one, (P,).
