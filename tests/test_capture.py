@@ -191,7 +191,7 @@ def test_ambient_light_is_subtracted(capture_folder: Path, tmp_path: Path, insid
 
 def test_large_captures_are_kept_in_half_precision(capture_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     plain = load_capture(capture_folder)
-    monkeypatch.setattr("torch_orennayar.capture.HALF_FROM", 1000)
+    monkeypatch.setattr("torch_orennayar.photographs.HALF_FROM", 1000)
     half = load_capture(capture_folder)
     assert half.images.dtype == torch.float16
     assert torch.allclose(half.images.float(), plain.images, rtol=1e-3, atol=1e-6)

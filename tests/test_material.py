@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 import torch
 import torch.nn.functional as F
@@ -75,8 +77,8 @@ def test_derivatives_are_those_of_differences(material: Material) -> None:
         ahead, behind = (respond(material, normal, albedo, lobes + d, lights, unit).value for d in (shift, -shift))
         assert torch.allclose(response.columns[1 + k], slope(ahead, behind), atol=1e-6)
     if response.by_roughness is not None:
-        sigma = material.roughness
         ahead, behind = (
-            respond(material, normal, albedo, lobes, lights, unit, roughness=sigma + d).value for d in (step, -step)
+            respond(replace(material, roughness=material.roughness + d), normal, albedo, lobes, lights, unit).value
+            for d in (step, -step)
         )
         assert torch.allclose(response.by_roughness, slope(ahead, behind), atol=1e-6)

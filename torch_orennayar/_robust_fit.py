@@ -15,7 +15,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from .material import Material, Reach, Response, half_vectors, respond
+from .material import Material, Response, half_vectors, respond
 from .progress import track
 
 T = TypeVar("T")
@@ -101,7 +101,6 @@ def fit(
     used: str = "lit",
     start: PixelFit | str = "middle",
     toward: Tensor | None = None,
-    roughness: Tensor | None = None,
     show: str = "",
 ) -> PixelFit:
     """Gauss-Newton with Geman-McClure weights, for every pixel of ``grey`` (P, K) under ``lights`` (K, 3).
@@ -114,7 +113,6 @@ def fit(
         used: observations that count: ``"lit"``, all that are not in shadow, or ``"middle"``, those of middle rank.
         start: an earlier fit of the same pixels, or a name in ``STARTS``.
         toward: (P, 3) normals of the neighbourhood, or None.
-        roughness: (P, 1) instead of the material's, or None.
         show: what the progress bar says; empty for none.
     """
     choose = _SELECTIONS[used]
@@ -123,8 +121,7 @@ def fit(
     def solve(part: slice) -> None:
         begin = STARTS[start] if isinstance(start, str) else start[part]
         near = None if toward is None else toward[part]
-        rough = None if roughness is None else roughness[part]
-        found = _fit_chunk(grey[part], lights, material, choose, steps, begin, near, rough)
+        found = _fit_chunk(grey[part], lights, material, choose, steps, begin, near)
         for f in fields(PixelFit):
             getattr(whole, f.name)[part] = getattr(found, f.name)
 
@@ -143,10 +140,10 @@ def least_squares(grey: Tensor, lights: Tensor) -> PixelFit:
     )
 
 
-def predict(fitted: PixelFit, lights: Tensor, material: Material, roughness: Reach | None = None) -> Tensor:
+def predict(fitted: PixelFit, lights: Tensor, material: Material) -> Tensor:
     """What the fit says every pixel shows under ``lights``, (P, K)."""
     unit = torch.ones_like(fitted.albedo)
-    return respond(material, fitted.normal, fitted.albedo, fitted.lobes, lights, unit, roughness).value
+    return respond(material, fitted.normal, fitted.albedo, fitted.lobes, lights, unit).value
 
 
 def weights(fitted: PixelFit, grey: Tensor, predicted: Tensor, used: str) -> Tensor:
@@ -216,7 +213,6 @@ def _fit_chunk(
     steps: int,
     start: PixelFit | Callable[[Tensor, Tensor], tuple[Tensor, Tensor]],
     toward: Tensor | None,
-    roughness: Tensor | None,
 ) -> PixelFit:
     """Everything over the pixel's mean: two tangent angles, albedo, strengths of lobes."""
     unit = mean_of(grey)
@@ -233,7 +229,7 @@ def _fit_chunk(
     jacobian = seen.new_empty(len(seen), size + 1, len(lights))
     place = ((used.sum(1, keepdim=True) - 1) / 2).long().clamp_min(0)
     for _ in range(steps):
-        response = respond(material, normal, albedo, lobes, lights, unit, roughness)
+        response = respond(material, normal, albedo, lobes, lights, unit)
         residual = seen - response.value
         noise = _noise(residual, used, place)
         weight = used / (1 + (residual / (2 * noise)) ** 2) ** 2
@@ -261,7 +257,7 @@ def _fit_chunk(
         albedo = (albedo + step[2][:, None]).clamp_min(1e-6)
         if count:
             lobes = (lobes + torch.stack(step[3:], 1)).clamp_min(0)
-    residual = seen - respond(material, normal, albedo, lobes, lights, unit, roughness).value
+    residual = seen - respond(material, normal, albedo, lobes, lights, unit).value
     noise = _noise(residual, used, place)
     return PixelFit(
         normal,

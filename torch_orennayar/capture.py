@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -14,16 +13,14 @@ import torch
 from torch import Tensor
 
 from .errors import FileError, RangeError
-from .images import IMAGE_SUFFIXES, read_image, srgb_to_linear, to_unit, write_image
-from .progress import track
+from .images import IMAGE_SUFFIXES, read_image, to_unit, write_image
+from .photographs import read_photographs
 
 LIGHT_FILES = ("light_directions.txt", "lights.txt")
 INTENSITY_FILES = ("light_intensities.txt", "intensities.txt")
 TRUTH_FILES = ("Normal_gt.mat", "normal_gt.npy")
 AMBIENT = "ambient"
 """Name, without suffix, of a photograph taken with all lights off."""
-HALF_FROM = 1 << 29
-"""Samples of a capture from which images are kept in half precision: 0.05 % of each value, half the memory."""
 
 
 @dataclass(frozen=True)
@@ -126,7 +123,7 @@ def load_capture(
     else:
         files, directions = _pair(folder, Path(lights) if lights is not None else _find_light_file(source), others)
     intensities = _read_intensities(folder, len(files), notes)
-    images = _read_images(files, encoding, notes, intensities, ambient_file)
+    images = read_photographs(files, encoding, notes, intensities, ambient_file)
     height, width = images.shape[-2:]
     return Capture(
         images=images,
@@ -220,7 +217,7 @@ def load_ball(
         raise FileError(str(folder), expected="a folder of photographs", got="no folder", mend="check the name")
     mask_file = Path(mask) if mask is not None else folder / "mask.png"
     files = _image_files(folder, (mask_file,))
-    images = _read_images(files, encoding, [], torch.ones(len(files), 3), None)
+    images = read_photographs(files, encoding, [], torch.ones(len(files), 3), None)
     if mask is None and not mask_file.is_file():
         return images, None
     return images, _read_mask(mask_file, (images.shape[2], images.shape[3]), required=True, notes=[])
@@ -330,67 +327,6 @@ def _numbers(file: Path, rows: list[list[str]], widths: tuple[int, ...]) -> Tens
     if not bool(result.isfinite().all()):
         raise RangeError(str(file), expected="finite numbers", got="NaN or infinity", mend="mend the file")
     return result
-
-
-def _read_images(
-    files: list[Path], encoding: str, notes: list[str], intensities: Tensor, ambient: Path | None
-) -> Tensor:
-    """(K, 3, H, W) linear, over the intensities; all of one size and bit depth."""
-    if not files:
-        raise FileError("images", expected="image files in the folder", got="none", mend="check the folder")
-    first = read_image(files[0])
-    curved = encoding == "srgb" or (encoding == "auto" and first.dtype == np.uint8)
-    guess = "; if they are not, load them with encoding='linear' (--encoding linear)" if encoding == "auto" else ""
-    notes.append(f"{first.dtype} images read as {f'sRGB-encoded{guess}' if curved else 'linear light'}.")
-
-    def decode(file: Path) -> Tensor:
-        array = read_image(file)
-        _check_alike(file, array, files[0], first)
-        unit = torch.from_numpy(to_unit(array))
-        image = unit.expand(3, -1, -1) if unit.ndim == 2 else unit.permute(2, 0, 1)
-        return srgb_to_linear(image) if curved else image
-
-    shape = (len(files), 3, *first.shape[:2])
-    large = len(files) * 3 * first.shape[0] * first.shape[1] > HALF_FROM
-    if large:
-        notes.append("a large capture: its images are kept in half precision, 0.05 % of each value.")
-    result = torch.empty(shape, dtype=torch.float16 if large else torch.float32)
-    dark = None if ambient is None else decode(ambient)
-    if ambient is not None:
-        notes.append(f"{ambient.name}, taken with all lights off, was subtracted.")
-
-    def fill(index: int) -> None:
-        image = decode(files[index])
-        if dark is not None:
-            image = (image - dark).clamp_min(0)
-        result[index] = image / intensities[index][:, None, None]
-
-    workers = min(1 if large else 4, os.cpu_count() or 1)  # a reader holds its image several times over
-    with ThreadPoolExecutor(workers) as pool:
-        try:
-            list(track(pool.map(fill, range(len(files))), "reading images", len(files)))
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
-    return result
-
-
-def _check_alike(file: Path, array: npt.NDArray[np.generic], first_file: Path, first: npt.NDArray[np.generic]) -> None:
-    """All images of a capture have one size and bit depth."""
-    if array.shape[:2] != first.shape[:2]:
-        raise FileError(
-            str(file),
-            expected=f"{first.shape[1]} x {first.shape[0]} pixels as in {first_file.name}",
-            got=f"{array.shape[1]} x {array.shape[0]}",
-            mend="bring all images of a capture to one size",
-        )
-    if array.dtype != first.dtype:
-        raise FileError(
-            str(file),
-            expected=f"{first.dtype} samples as in {first_file.name}",
-            got=str(array.dtype),
-            mend="export all images of a capture with one bit depth",
-        )
 
 
 def _intensity_file(folder: Path) -> Path | None:

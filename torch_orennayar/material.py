@@ -15,8 +15,6 @@ from torch import Tensor
 from .evaluation import pull
 from .reflectance import get_model
 
-Reach = Tensor | float
-
 
 @dataclass(frozen=True)
 class Material:
@@ -86,7 +84,6 @@ def respond(
     lobes: Tensor,
     lights: Tensor,
     unit: Tensor,
-    roughness: Reach | None = None,
     *,
     by_roughness: bool = False,
 ) -> Response:
@@ -99,7 +96,6 @@ def respond(
         lobes: (P, L) strengths over ``unit`` of ``(n.l) (n.h)**p``.
         lights: (K, 3).
         unit: (P, 1) what observations were divided by: light between facets depends on the albedo itself.
-        roughness: instead of the material's, a number or (P, 1).
         by_roughness: whether that derivative is wanted too.
     """
     raw = normal @ lights.T
@@ -117,8 +113,7 @@ def respond(
             value = albedo * by_albedo
             by_light, by_view = value * (k / safe), value * ((k - 1) / co)
     else:
-        sigma = material.roughness if roughness is None else roughness
-        sigma = sigma.to(raw) if isinstance(sigma, Tensor) else raw.new_tensor(sigma)
+        sigma = raw.new_tensor(material.roughness)
         if by_roughness:
             sigma = sigma.expand_as(raw).contiguous()
         value, by_light, by_view, by_albedo, by_sigma = _rough(

@@ -14,6 +14,7 @@ from . import _robust_fit as robust_fit
 from ._robust_fit import PixelFit, mean_of
 from .errors import CaptureError
 from .material import Material
+from .progress import track
 
 AUTO_MODEL = "vcavity"
 """The Oren-Nayar model that ``auto`` weighs against Lambert: the one nearest to the theory."""
@@ -77,7 +78,9 @@ def choose(sample: Tensor, lights: Tensor, seed: int) -> Choice:
             tried[material] = (missed + missed_too) / 2 + DISAGREEMENT * disagreement
         return tried[material]
 
-    best = [min(kind, key=score) for kind in _kinds(score, lobes=count >= MIN_LIGHTS_LOBES)]
+    lobes = count >= MIN_LIGHTS_LOBES
+    kinds = track(_kinds(score, lobes=lobes), "weighing materials", 9 if lobes else 3)
+    best = [min(kind, key=score) for kind in kinds]
     scores = {material.name: score(material) for material in best}
     chosen = _first_sufficient(best, score)
     listed = ", ".join(f"{name} {value:.4f}" for name, value in scores.items())
