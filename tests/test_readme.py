@@ -28,7 +28,7 @@ def test_python_blocks_run_in_order(
     assert tuple(names["images"].shape) == (2, 7, 1, 64, 64)  # type: ignore[attr-defined]
     assert tuple(names["pictures"].shape) == (1, 12, 1, 512, 512)  # type: ignore[attr-defined]
     assert names["sigma"].grad.isfinite()  # type: ignore[attr-defined]
-    assert capsys.readouterr().out.startswith("vcavity {'lambert'")
+    assert capsys.readouterr().out.startswith("vcavity 1.0 () {'lambert'")
 
 
 def test_commands_and_files_exist() -> None:

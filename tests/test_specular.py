@@ -29,7 +29,7 @@ def test_lobes_are_the_textbook_vector_formulas(zi: float, zo: float, phi: float
     l, v = vectors(zi, 0.0), vectors(zo, phi)  # noqa: E741
     ci, co, lv = l[2], v[2], l @ v
     lit = 1.0 if zi > 0 and zo > 0 else 0.0
-    mirror = torch.tensor([0.0, 0.0, 2.0]) * zi - l
+    mirror = torch.tensor([0.0, 0.0, 2.0], dtype=torch.float64) * zi - l
     assert phong(ci, co, lv, 20.0).item() == pytest.approx(lit * 11 * max(0.0, float(mirror @ v)) ** 20, abs=1e-9)
     if (l + v).norm() < 1e-2:
         return

@@ -306,7 +306,7 @@ def test_glaze_is_told(balls: dict[str, tuple[Tensor, Tensor]]) -> None:
     assert isinstance(found.falloff, float)
     assert 1.02 < found.falloff < 1.2
     lambert = photometric_stereo(scene.images, scene.lights, scene.mask, model="lambert")
-    assert mean_error(found, scene) < 0.5 * mean_error(lambert, scene)  # type: ignore[arg-type]
+    assert mean_error(found, scene) < 0.7 * mean_error(lambert, scene)
 
 
 def test_relighting_predicts_a_photograph(balls: dict[str, tuple[Tensor, Tensor]]) -> None:

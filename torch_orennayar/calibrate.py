@@ -78,7 +78,6 @@ def find_ball(mask: Tensor) -> Ball:
     if not outlines:
         raise CaptureError("mask", expected="a ball", got="an empty mask", mend="paint the ball white")
     (x, y), radius = cv2.minEnclosingCircle(max(outlines, key=len))
-    radius += 0.5  # outlines run through the centres of the pixels at the edge
     covered = int(mask.sum()) / (math.pi * radius * radius)
     if not 0.9 < covered < 1.1:
         raise CaptureError(
