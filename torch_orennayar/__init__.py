@@ -23,6 +23,7 @@ from .images import decode_normals, encode_normals, linear_to_srgb, srgb_to_line
 from .integrate import integrate_normals
 from .mesh import load_mesh, save_mesh, vertex_normals
 from .metrics import AngularError, angular_error
+from .near_light import near_light_stereo
 from .reconstruction import Reconstruction
 from .reflectance import MODELS, Model, register_model, roughness_from_slope, slope_from_roughness
 from .render import NormalMap, render_normals
@@ -66,6 +67,7 @@ __all__ = [
     "load_capture",
     "load_mesh",
     "microfacet",
+    "near_light_stereo",
     "oren_nayar",
     "phong",
     "photometric_stereo",

@@ -1,6 +1,6 @@
 """Robust fits of normal, albedo and highlights under known lights, pixel by pixel, all pixels at once.
 
-Observations are (P, K): P pixels, K lights. The view is orthographic, (0, 0, 1).
+Observations are (P, K): P pixels, K lights. The view is (0, 0, 1) in every pixel's own frame.
 """
 
 from __future__ import annotations
@@ -15,10 +15,12 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from .material import Material, Response, half_vectors, respond
+from .material import Material, Rays, Response, dot, respond
 from .progress import track
 
 T = TypeVar("T")
+Start = Callable[[Tensor, Rays], tuple[Tensor, Tensor]]
+"""Normal and albedo to begin with, from observations over their mean."""
 
 CHUNK = 120_000
 """Observations solved together: temporaries stay in cache.
@@ -94,7 +96,7 @@ def side_by_side(work: Callable[[slice], T], parts: Sequence[slice], show: str =
 
 def fit(
     grey: Tensor,
-    lights: Tensor,
+    rays: Rays,
     material: Material,
     *,
     steps: int = 10,
@@ -103,11 +105,11 @@ def fit(
     toward: Tensor | None = None,
     show: str = "",
 ) -> PixelFit:
-    """Gauss-Newton with Geman-McClure weights, for every pixel of ``grey`` (P, K) under ``lights`` (K, 3).
+    """Gauss-Newton with Geman-McClure weights, for every pixel of ``grey`` (P, K) under K lights.
 
     Args:
         grey: observations.
-        lights: unit directions.
+        rays: to the lights.
         material: what all pixels share.
         steps: of Gauss-Newton.
         used: observations that count: ``"lit"``, all that are not in shadow, or ``"middle"``, those of middle rank.
@@ -121,7 +123,7 @@ def fit(
     def solve(part: slice) -> None:
         begin = STARTS[start] if isinstance(start, str) else start[part]
         near = None if toward is None else toward[part]
-        found = _fit_chunk(grey[part], lights, material, choose, steps, begin, near)
+        found = _fit_chunk(grey[part], rays.at(part), material, choose, steps, begin, near)
         for f in fields(PixelFit):
             getattr(whole, f.name)[part] = getattr(found, f.name)
 
@@ -129,21 +131,21 @@ def fit(
     return whole
 
 
-def least_squares(grey: Tensor, lights: Tensor) -> PixelFit:
+def least_squares(grey: Tensor, rays: Rays) -> PixelFit:
     """Plain Lambertian least squares over all observations."""
-    scaled = _linear(grey, lights, torch.ones_like(grey))
+    scaled = _linear(grey, rays, torch.ones_like(grey))
     albedo = scaled.norm(dim=1, keepdim=True)
-    residual = (grey - scaled @ lights.T).abs().mean(1, keepdim=True)
-    spread = residual / albedo.clamp_min(torch.finfo(grey.dtype).tiny) * math.sqrt(2 / len(lights))
+    residual = (grey - dot(scaled, rays.light)).abs().mean(1, keepdim=True)
+    spread = residual / albedo.clamp_min(torch.finfo(grey.dtype).tiny) * math.sqrt(2 / len(rays))
     return PixelFit(
         _upward(scaled), albedo, grey.new_empty(len(grey), 0), torch.full_like(albedo, torch.inf), residual, spread
     )
 
 
-def predict(fitted: PixelFit, lights: Tensor, material: Material) -> Tensor:
-    """What the fit says every pixel shows under ``lights``, (P, K)."""
+def predict(fitted: PixelFit, rays: Rays, material: Material) -> Tensor:
+    """What the fit says every pixel shows under the lights, (P, K)."""
     unit = torch.ones_like(fitted.albedo)
-    return respond(material, fitted.normal, fitted.albedo, fitted.lobes, lights, unit).value
+    return respond(material, fitted.normal, fitted.albedo, fitted.lobes, rays, unit).value
 
 
 def weights(fitted: PixelFit, grey: Tensor, predicted: Tensor, used: str) -> Tensor:
@@ -158,19 +160,19 @@ def mean_of(grey: Tensor) -> Tensor:
 
 
 def colour(
-    fitted: PixelFit, grey: Tensor, channels: Tensor, lights: Tensor, material: Material, used: str
+    fitted: PixelFit, grey: Tensor, channels: Tensor, rays: Rays, material: Material, used: str
 ) -> tuple[Tensor, Tensor]:
     """Albedo (P, C) and lobes' strengths (P, L, C) of every channel (P, K, C) under the fitted normals and weights.
 
     Light between facets makes the model nonlinear in albedo: a few fixed-point steps settle it.
     """
     unit = mean_of(grey)
-    weight = weights(fitted, grey, predict(fitted, lights, material), used)
+    weight = weights(fitted, grey, predict(fitted, rays, material), used)
     albedos, strengths = [], []
     for channel in (channels / unit[:, :, None]).unbind(2):
         albedo, lobes = fitted.albedo / unit, fitted.lobes / unit
         for _ in range(1 if material.model == "lambert" else 4):
-            response = respond(material, fitted.normal, albedo, lobes, lights, unit)
+            response = respond(material, fitted.normal, albedo, lobes, rays, unit)
             shapes = response.columns[1:]
             matt = (response.value - _shine(lobes, shapes)) / albedo
             if shapes:
@@ -193,13 +195,13 @@ def _shine(lobes: Tensor, shapes: Sequence[Tensor]) -> Tensor | float:
     return sum(strength[:, None] * shape for strength, shape in zip(lobes.unbind(1), shapes, strict=True))
 
 
-def common_cost(fitted: PixelFit, noise: Tensor, grey: Tensor, lights: Tensor, material: Material) -> Tensor:
+def common_cost(fitted: PixelFit, noise: Tensor, grey: Tensor, rays: Rays, material: Material) -> Tensor:
     """Robust cost of a fit per observation in light, (P,), residuals over ``noise`` (P, 1), which fits share."""
 
     def work(part: slice) -> Tensor:
         seen = grey[part]
         lit = in_light(seen)
-        share = ((seen - predict(fitted[part], lights, material)) / (2 * noise[part] * mean_of(seen))).square()
+        share = ((seen - predict(fitted[part], rays.at(part), material)) / (2 * noise[part] * mean_of(seen))).square()
         return (lit * share / (1 + share)).sum(1) / lit.sum(1)
 
     return torch.cat(side_by_side(work, chunks(grey)))
@@ -207,11 +209,11 @@ def common_cost(fitted: PixelFit, noise: Tensor, grey: Tensor, lights: Tensor, m
 
 def _fit_chunk(
     grey: Tensor,
-    lights: Tensor,
+    rays: Rays,
     material: Material,
     choose: Callable[[Tensor], Tensor],
     steps: int,
-    start: PixelFit | Callable[[Tensor, Tensor], tuple[Tensor, Tensor]],
+    start: PixelFit | Start,
     toward: Tensor | None,
 ) -> PixelFit:
     """Everything over the pixel's mean: two tangent angles, albedo, strengths of lobes."""
@@ -224,24 +226,24 @@ def _fit_chunk(
         normal, albedo = start.normal, start.albedo / unit
         lobes = start.lobes / unit if start.lobes.shape[1] == count else lobes
     else:
-        normal, albedo = start(seen, lights)
+        normal, albedo = start(seen, rays)
     size = 3 + count
-    jacobian = seen.new_empty(len(seen), size + 1, len(lights))
+    jacobian = seen.new_empty(len(seen), size + 1, len(rays))
     place = ((used.sum(1, keepdim=True) - 1) / 2).long().clamp_min(0)
     for _ in range(steps):
-        response = respond(material, normal, albedo, lobes, lights, unit)
+        response = respond(material, normal, albedo, lobes, rays, unit)
         residual = seen - response.value
         noise = _noise(residual, used, place)
         weight = used / (1 + (residual / (2 * noise)) ** 2) ** 2
         tangents = _tangents(normal)
-        _fill(jacobian, response, tangents, lights)
+        _fill(jacobian, response, tangents, rays)
         jacobian[:, size] = residual
         products = torch.bmm(jacobian[:, :size] * weight[:, None], jacobian.mT).permute(1, 2, 0)
         matrix = [list(row.unbind(0)) for row in products[:, :size].contiguous()]
         right = list(products[:, size].contiguous().unbind(0))
         curvature = [row[:] for row in matrix]
         for axis in range(size):
-            matrix[axis][axis] = matrix[axis][axis] * (1 + 1e-3) + 1e-9 * len(lights)
+            matrix[axis][axis] = matrix[axis][axis] * (1 + 1e-3) + 1e-9 * len(rays)
         if toward is not None:
             pull_in = NEIGHBOURS * (noise[:, 0].square() - NOISE_FLOOR**2)
             for axis, tangent in enumerate(tangents):
@@ -257,7 +259,7 @@ def _fit_chunk(
         albedo = (albedo + step[2][:, None]).clamp_min(1e-6)
         if count:
             lobes = (lobes + torch.stack(step[3:], 1)).clamp_min(0)
-    residual = seen - respond(material, normal, albedo, lobes, lights, unit).value
+    residual = seen - respond(material, normal, albedo, lobes, rays, unit).value
     noise = _noise(residual, used, place)
     return PixelFit(
         normal,
@@ -269,31 +271,30 @@ def _fit_chunk(
     )
 
 
-def _fill(jacobian: Tensor, response: Response, tangents: tuple[Tensor, Tensor], lights: Tensor) -> None:
+def _fill(jacobian: Tensor, response: Response, tangents: tuple[Tensor, Tensor], rays: Rays) -> None:
     """Derivatives by two tangent angles, albedo and lobes into the first rows of (P, N, K)."""
-    half = half_vectors(lights)
     for axis, tangent in enumerate(tangents):
-        column = (tangent @ lights.T) * response.by_light
+        column = dot(tangent, rays.light) * response.by_light
         if response.by_view is not None:
             column += response.by_view * tangent[:, 2:]
         if response.by_half is not None:
-            column += response.by_half * (tangent @ half.T)
+            column += response.by_half * dot(tangent, rays.half)
         jacobian[:, axis] = column
     for axis, column in enumerate(response.columns):
         jacobian[:, 2 + axis] = column
 
 
-def information(fitted: PixelFit, grey: Tensor, lights: Tensor, material: Material) -> float:
+def information(fitted: PixelFit, grey: Tensor, rays: Rays, material: Material) -> float:
     """What the pixels say of the roughness that they share: its inverse variance."""
     unit = mean_of(grey)
     response = respond(
-        material, fitted.normal, fitted.albedo / unit, fitted.lobes / unit, lights, unit, by_roughness=True
+        material, fitted.normal, fitted.albedo / unit, fitted.lobes / unit, rays, unit, by_roughness=True
     )
     if response.by_roughness is None:
         return 0.0
     size = 3 + len(material.exponents)
-    jacobian = grey.new_empty(len(grey), size + 1, len(lights))
-    _fill(jacobian, response, _tangents(fitted.normal), lights)
+    jacobian = grey.new_empty(len(grey), size + 1, len(rays))
+    _fill(jacobian, response, _tangents(fitted.normal), rays)
     jacobian[:, size] = response.by_roughness
     used = weights(fitted, grey, response.value * unit, "lit")
     spare = (used.sum(1, keepdim=True) - size).clamp_min(0.5)  # observations beyond what the unknowns use up
@@ -343,13 +344,14 @@ def solve_symmetric(matrix: Sequence[Sequence[Tensor]], right: Sequence[Tensor])
     return solution
 
 
-def _linear(grey: Tensor, lights: Tensor, weight: Tensor) -> Tensor:
+def _linear(grey: Tensor, rays: Rays, weight: Tensor) -> Tensor:
     """Weighted Lambertian least squares, albedo times normal, (P, 3)."""
-    outer = (lights[:, :, None] * lights[:, None, :]).reshape(-1, 9)
-    matrix = (weight @ outer).T.reshape(3, 3, -1)
+    light = rays.light
+    outer = (light[..., :, None] * light[..., None, :]).flatten(-2)
+    matrix = (weight[:, None] @ outer)[:, 0].T.reshape(3, 3, -1)
     ridge = 1e-6 * (matrix[0, 0] + matrix[1, 1] + matrix[2, 2])
     rows = [[matrix[i, j] + ridge if i == j else matrix[i, j] for j in range(3)] for i in range(3)]
-    return torch.stack(solve_symmetric(rows, list(((weight * grey) @ lights).T)), 1)
+    return torch.stack(solve_symmetric(rows, list(((weight * grey)[:, None] @ light)[:, 0].T)), 1)
 
 
 def _upward(vector: Tensor) -> Tensor:
@@ -404,29 +406,30 @@ def _noise(residual: Tensor, used: Tensor, place: Tensor) -> Tensor:
     return (1.4826 * magnitude.gather(1, place)).clamp_min(NOISE_FLOOR)
 
 
-def _start_lambert(low: float, high: float) -> Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]:
+def _start_lambert(low: float, high: float) -> Start:
     """Least squares on some ranks."""
 
-    def begin(grey: Tensor, lights: Tensor) -> tuple[Tensor, Tensor]:
-        scaled = _linear(grey, lights, _ranks(grey, low, high))
+    def begin(grey: Tensor, rays: Rays) -> tuple[Tensor, Tensor]:
+        scaled = _linear(grey, rays, _ranks(grey, low, high))
         return _upward(scaled), scaled.norm(dim=1, keepdim=True).clamp_min(1e-3)
 
     return begin
 
 
-def _start_highlight(grey: Tensor, lights: Tensor) -> tuple[Tensor, Tensor]:
+def _start_highlight(grey: Tensor, rays: Rays) -> tuple[Tensor, Tensor]:
     """The mean half vector of the brightest 5 %: where a highlight is, the normal is there."""
     brightest = grey.topk(max(1, round(0.05 * grey.shape[1])), 1).indices
-    normal = _upward(half_vectors(lights)[brightest].mean(1))
-    cosine = (normal @ lights.T).relu() * in_light(grey)
+    half = rays.half.expand(len(grey), -1, -1)
+    normal = _upward(half.gather(1, brightest[:, :, None].expand(-1, -1, 3)).mean(1))
+    cosine = dot(normal, rays.light).relu() * in_light(grey)
     albedo = (cosine * grey).sum(1, keepdim=True) / cosine.square().sum(1, keepdim=True).clamp_min(1e-6)
     return normal, albedo.clamp_min(1e-3)
 
 
-STARTS: dict[str, Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]] = {
+STARTS: dict[str, Start] = {
     "middle": _start_lambert(0.2, 0.8),
     "dim": _start_lambert(0.05, 0.55),
     "highlight": _start_highlight,
 }
-"""Where a fit may begin: normal and albedo from observations over their mean."""
+"""Where a fit may begin."""
 _SELECTIONS: dict[str, Callable[[Tensor], Tensor]] = {"middle": _middle, "lit": in_light, "all": torch.ones_like}

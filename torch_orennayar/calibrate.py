@@ -12,7 +12,7 @@ from torch import Tensor
 from . import _robust_fit as robust_fit
 from ._checks import check_floating, check_unit
 from .errors import CaptureError, RangeError, ShapeError
-from .material import Material
+from .material import Material, Rays
 
 HIGHLIGHT = 0.5
 """A highlight is what is brighter than this share of the brightest pixel on the ball."""
@@ -254,13 +254,13 @@ def own_intensities(images: Tensor, lights: Tensor, mask: Tensor | None = None, 
     grey = grey[(grey > 0).sum(1) >= 3]
     generator = torch.Generator().manual_seed(seed)
     grey = grey[torch.randperm(len(grey), generator=generator)[:SAMPLE_PIXELS].to(grey.device)]
-    directions = lights.to(grey)
+    rays = Rays.of(lights.to(grey))
     intensity = torch.ones(1, len(images), device=grey.device)
     fitted: robust_fit.PixelFit | str = "middle"
     for round_number in range(ROUNDS):
         seen = grey / intensity
-        fitted = robust_fit.fit(seen, directions, Material(), start=fitted, steps=3 if round_number else 8)
-        predicted = robust_fit.predict(fitted, directions, Material())
+        fitted = robust_fit.fit(seen, rays, Material(), start=fitted, steps=3 if round_number else 8)
+        predicted = robust_fit.predict(fitted, rays, Material())
         weight = robust_fit.weights(fitted, seen, predicted, "lit") / robust_fit.mean_of(seen).square()
         gain = (weight * seen * predicted).sum(0) / (weight * predicted.square()).sum(0).clamp_min(1e-12)
         intensity = intensity * gain**OVERSHOOT

@@ -1,6 +1,6 @@
 """What one material shows under many lights, and how that changes with normal, albedo and highlights.
 
-Observations are (P, K): P pixels, K distant lights. The view is orthographic, (0, 0, 1).
+Observations are (P, K): P pixels, K lights. The view is (0, 0, 1) in every pixel's own frame.
 """
 
 from __future__ import annotations
@@ -72,9 +72,42 @@ class Response:
     by_roughness: Tensor | None = None
 
 
-def half_vectors(lights: Tensor) -> Tensor:
-    """Unit vectors between the lights and the view, (K, 3)."""
-    return F.normalize(lights + lights.new_tensor((0.0, 0.0, 1.0)), dim=1)
+@dataclass(frozen=True)
+class Rays:
+    """Unit directions to K lights, the same for all pixels or each pixel's own.
+
+    Attributes:
+        light: (K, 3) distant lights, or (P, K, 3).
+        half: the same shape, halfway between light and view.
+    """
+
+    light: Tensor
+    half: Tensor
+
+    @staticmethod
+    def of(light: Tensor) -> Rays:
+        """Of unit directions (K, 3) or (P, K, 3)."""
+        return Rays(light, F.normalize(light + light.new_tensor((0.0, 0.0, 1.0)), dim=-1))
+
+    def __len__(self) -> int:
+        return self.light.shape[-2]
+
+    def at(self, pixels: slice | Tensor) -> Rays:
+        """Those of some pixels."""
+        return self if self.light.ndim == 2 else Rays(self.light[pixels], self.half[pixels])
+
+    def under(self, lights: Tensor) -> Rays:
+        """Those of some lights, (K,) bool."""
+        return Rays(self.light[..., lights, :], self.half[..., lights, :])
+
+    def typical(self) -> Tensor:
+        """(K, 3): near lights as if they were distant."""
+        return self.light if self.light.ndim == 2 else F.normalize(self.light.mean(0), dim=1)
+
+
+def dot(vectors: Tensor, directions: Tensor) -> Tensor:
+    """Cosines of (P, 3) with (K, 3) or (P, K, 3), (P, K)."""
+    return vectors @ directions.T if directions.ndim == 2 else (directions @ vectors[:, :, None])[:, :, 0]
 
 
 def respond(
@@ -82,7 +115,7 @@ def respond(
     normal: Tensor,
     albedo: Tensor,
     lobes: Tensor,
-    lights: Tensor,
+    rays: Rays,
     unit: Tensor,
     *,
     by_roughness: bool = False,
@@ -94,11 +127,11 @@ def respond(
         normal: (P, 3).
         albedo: (P, 1) over ``unit``.
         lobes: (P, L) strengths over ``unit`` of ``(n.l) (n.h)**p``.
-        lights: (K, 3).
+        rays: to the lights.
         unit: (P, 1) what observations were divided by: light between facets depends on the albedo itself.
         by_roughness: whether that derivative is wanted too.
     """
-    raw = normal @ lights.T
+    raw = dot(normal, rays.light)
     lit = raw.sign().relu()
     ci = raw.relu()
     by_view: Tensor | None
@@ -117,12 +150,12 @@ def respond(
         if by_roughness:
             sigma = sigma.expand_as(raw).contiguous()
         value, by_light, by_view, by_albedo, by_sigma = _rough(
-            material.model, raw, lit, normal, albedo, lights, unit, sigma
+            material.model, raw, lit, normal, albedo, rays.light, unit, sigma
         )
     columns = [by_albedo]
     by_half: Tensor | None = None
     if material.exponents:
-        nh = (normal @ half_vectors(lights).T).clamp_min_(1e-6)
+        nh = dot(normal, rays.half).clamp_min_(1e-6)
         pulled: Tensor | None = None
         for strength, exponent in zip(lobes.split(1, 1), material.exponents, strict=True):
             power = _power(nh, exponent)
@@ -143,7 +176,7 @@ def _rough(
     """Value and derivatives of a model with roughness: by light, view, albedo and roughness."""
     ci = torch.maximum(raw * lit, 1 - lit).clamp_min(1e-4)
     co, rho = (t.expand_as(ci).contiguous() for t in (normal[:, 2:], albedo * unit))
-    f, (d_ci, d_co, _, d_rho, d_sigma) = pull(get_model(model), (ci, co, lights[:, 2], rho, sigma), lit)
+    f, (d_ci, d_co, _, d_rho, d_sigma) = pull(get_model(model), (ci, co, lights[..., 2], rho, sigma), lit)
     f = f * lit / unit
     by_light = f if d_ci is None else torch.addcmul(f, ci, d_ci / unit)
     return (

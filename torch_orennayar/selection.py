@@ -13,7 +13,7 @@ from torch import Tensor
 from . import _robust_fit as robust_fit
 from ._robust_fit import PixelFit, mean_of
 from .errors import CaptureError
-from .material import Material
+from .material import Material, Rays
 from .progress import track
 
 AUTO_MODEL = "vcavity"
@@ -55,17 +55,17 @@ class Choice:
     reason: str
 
 
-def choose(sample: Tensor, lights: Tensor, seed: int) -> Choice:
+def choose(sample: Tensor, rays: Rays, seed: int) -> Choice:
     """The simplest sufficient material for pixels (P, K), by the error on lights that were held out."""
-    count = len(lights)
+    count = len(rays)
     if count < MIN_LIGHTS_HELD_OUT:
         return Choice(
             Material(), {}, f"lambert: {count} lights are too few to hold any out (from {MIN_LIGHTS_HELD_OUT} on)."
         )
-    held = hold_out(lights, seed)
+    held = hold_out(rays.typical(), seed)
     if held is None:
         return Choice(Material(), {}, "lambert: no lights can be held out, the others would lie in one plane.")
-    folds = [_Fold.of(sample, lights, out) for out in held]
+    folds = [_Fold.of(sample, rays, out) for out in held]
     tried: dict[Material, float] = {}
 
     def score(material: Material) -> float:
@@ -99,17 +99,17 @@ class _Fold:
     shown: Tensor
     hidden: Tensor
     lit: Tensor
-    trained: Tensor
-    held: Tensor
+    trained: Rays
+    held: Rays
     unit: Tensor
     start: PixelFit
 
     @staticmethod
-    def of(sample: Tensor, lights: Tensor, out: Tensor) -> _Fold:
-        shown = sample[:, ~out].contiguous()
-        start = robust_fit.fit(shown, lights[~out], Material(), used="middle", steps=8)
+    def of(sample: Tensor, rays: Rays, out: Tensor) -> _Fold:
+        shown, trained = sample[:, ~out].contiguous(), rays.under(~out)
+        start = robust_fit.fit(shown, trained, Material(), used="middle", steps=8)
         lit = robust_fit.in_light(sample)[:, out]
-        return _Fold(shown, sample[:, out], lit, lights[~out], lights[out], mean_of(sample), start)
+        return _Fold(shown, sample[:, out], lit, trained, rays.under(out), mean_of(sample), start)
 
     def trial(self, material: Material) -> tuple[PixelFit, float]:
         """The fit to the lights shown, and its error on the others."""
@@ -142,7 +142,7 @@ def _descend(path: Sequence[Material], score: Callable[[Material], float]) -> Se
     return path
 
 
-def refine(sample: Tensor, lights: Tensor, material: Material) -> Material:
+def refine(sample: Tensor, rays: Rays, material: Material) -> Material:
     """Falloff or roughness that explains the sample best: from the material's own, finer steps and a parabola."""
     if material.model != "lambert":
         grid, step, name, least = ROUGHNESSES, _FINE, "roughness", 0.0
@@ -156,10 +156,10 @@ def refine(sample: Tensor, lights: Tensor, material: Material) -> Material:
 
     def visit(value: float, start: PixelFit | str, steps: int) -> None:
         trial = replace(material, **{name: value})  # type: ignore[arg-type]
-        fits[value] = robust_fit.fit(sample, lights, trial, start=start, steps=steps)
-        costs[value] = error(sample, robust_fit.predict(fits[value], lights, trial), unit, lit)
+        fits[value] = robust_fit.fit(sample, rays, trial, start=start, steps=steps)
+        costs[value] = error(sample, robust_fit.predict(fits[value], rays, trial), unit, lit)
 
-    begin: PixelFit | str = robust_fit.fit(sample, lights, Material(), used="middle", steps=8)
+    begin: PixelFit | str = robust_fit.fit(sample, rays, Material(), used="middle", steps=8)
     for value in (least, *grid):
         visit(value, begin, 4 if costs else 8)
         begin = fits[value]
@@ -185,16 +185,16 @@ def _smallest_sufficient(costs: dict[float, float], best: float) -> float:
     return best
 
 
-def find_roughness(sample: Tensor, lights: Tensor, model: str) -> Material:
+def find_roughness(sample: Tensor, rays: Rays, model: str) -> Material:
     """A model with the one roughness that explains the sample best."""
-    if len(lights) < MIN_LIGHTS_ROUGHNESS:
+    if len(rays) < MIN_LIGHTS_ROUGHNESS:
         raise CaptureError(
             "lights",
             expected=f"at least {MIN_LIGHTS_ROUGHNESS} to find a roughness",
-            got=str(len(lights)),
+            got=str(len(rays)),
             mend="photograph under more lights, or use model='lambert'",
         )
-    return refine(sample, lights, Material(model=model, roughness=ROUGHNESSES[0]))
+    return refine(sample, rays, Material(model=model, roughness=ROUGHNESSES[0]))
 
 
 def error(observed: Tensor, predicted: Tensor, unit: Tensor, lit: Tensor) -> float:
@@ -243,16 +243,18 @@ def _parabola(costs: dict[float, float]) -> float:
     return min(max((x0 + x1) / 2 - left / (2 * curvature), x0), x2) if curvature > 0 else best
 
 
-def roughness_error(sample: Tensor, lights: Tensor, material: Material) -> float:
+def roughness_error(sample: Tensor, rays: Rays, material: Material) -> float:
     """Standard error of the roughness in radians: the larger of what two views of the fit say.
 
     The curvature of the fit, where what normals, albedo and lobes can imitate is taken off pixel by pixel; and how far
     the roughnesses of four quarters of the pixels lie apart, which sees a cost with several valleys.
     """
-    fitted = robust_fit.fit(sample, lights, material)
+    fitted = robust_fit.fit(sample, rays, material)
     parts = robust_fit.chunks(sample)
-    told = sum(robust_fit.information(fitted[part], sample[part], lights, material) for part in parts)
+    told = sum(robust_fit.information(fitted[part], sample[part], rays.at(part), material) for part in parts)
     curvature = 1 / math.sqrt(told) if told > 0 else math.inf
-    quarters = [refine(part, lights, material).roughness for part in sample.tensor_split(QUARTERS) if len(part)]
+    size = -(-len(sample) // QUARTERS)
+    split = [slice(i, i + size) for i in range(0, len(sample), size)]
+    quarters = [refine(sample[part], rays.at(part), material).roughness for part in split]
     apart = torch.tensor(quarters).std(correction=1).item() / math.sqrt(len(quarters)) if len(quarters) > 1 else 0.0
     return max(curvature, apart)

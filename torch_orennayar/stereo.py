@@ -14,7 +14,7 @@ from . import _robust_fit as robust_fit
 from ._checks import check_floating, check_unit
 from ._robust_fit import PixelFit
 from .errors import CaptureError, RangeError, ShapeError
-from .material import Material
+from .material import Material, Rays
 from .neighbours import Grid, agree, neighbourhood_normals, shared_misfit
 from .progress import track
 from .reconstruction import Reconstruction, stack
@@ -68,7 +68,8 @@ def photometric_stereo(
     Args:
         images: (K, C, H, W) or (B, K, C, H, W) linear light, intensities divided out; normals come from
             the mean of the channels.
-        lights: (K, 3) or (B, K, 3) unit directions to the lights, camera frame.
+        lights: (K, 3) or (B, K, 3) unit directions to the lights, camera frame; of near lights maps of each
+            pixel's directions, (K, 3, H, W) or (B, K, 3, H, W), as `near_light_stereo` makes them.
         mask: (1, H, W) or (B, 1, H, W) bool; default all pixels. Outside it images may hold anything.
         model: ``"auto"`` or a name in ``MODELS``, which is then used without lobes.
         robust: ``False`` is plain least squares over all observations, for ``"lambert"`` only.
@@ -108,30 +109,31 @@ def photometric_stereo(
         return _solve_batch(images, lights, mask, model, robust, seed)
     inside = _check(images, lights, mask)
     report: list[str] = []
-    _check_conditioning(lights, report)
     grey = _gather(images, inside)
-    directions = lights.to(grey)
+    rays = Rays.of(_directions(lights, inside).to(grey))
+    _check_lights(rays.typical(), report)
     dark = _undetermined(grey)
     scores: dict[str, float] = {}
     material, used, uncertain = Material(), "middle" if robust else "all", 0.0
     if robust:
-        sample = grey[_sample(dark, seed)]
+        picked = _sample(dark, seed)
+        sample, seen_by = grey[picked], rays.at(picked)
         if model == "auto":
-            chosen = choose(sample, directions, seed)
+            chosen = choose(sample, seen_by, seed)
             scores = chosen.scores
             report.append(chosen.reason)
-            material = refine(sample, directions, chosen.material)
+            material = refine(sample, seen_by, chosen.material)
         elif model != "lambert":
-            material = find_roughness(sample, directions, model)
+            material = find_roughness(sample, seen_by, model)
         if material.model != "lambert":
-            uncertain = _report_roughness(sample, directions, material, report)
+            uncertain = _report_roughness(sample, seen_by, material, report)
         used = "middle" if model == "lambert" else "lit"
         _report_falloff(material, report)
-        fitted = _fit(grey, directions, material, used, Grid(inside))
+        fitted = _fit(grey, rays, material, used, Grid(inside))
     else:
-        fitted = robust_fit.least_squares(grey, directions)
-    albedo, lobes = _colours(fitted, grey, images, inside, directions, material, used)
-    spread = _spread(fitted, grey, directions, material, used, Grid(inside))
+        fitted = robust_fit.least_squares(grey, rays)
+    albedo, lobes = _colours(fitted, grey, images, inside, rays, material, used)
+    spread = _spread(fitted, grey, rays, material, used, Grid(inside))
     spread = torch.where(_unsure(dark, fitted, len(lights), material.model, report), torch.inf, spread)
 
     def canvas(values: Tensor) -> Tensor:
@@ -156,32 +158,32 @@ def photometric_stereo(
     )
 
 
-def _fit(grey: Tensor, lights: Tensor, material: Material, used: str, grid: Grid) -> PixelFit:
+def _fit(grey: Tensor, rays: Rays, material: Material, used: str, grid: Grid) -> PixelFit:
     """All pixels: from Lambert, with lobes from other starts too, then with the neighbours."""
-    fitted = robust_fit.fit(grey, lights, Material(), used="middle", show="solving")
+    fitted = robust_fit.fit(grey, rays, Material(), used="middle", show="solving")
     if used == "lit":
-        fits = [robust_fit.fit(grey, lights, material, start=fitted, show="solving")]
+        fits = [robust_fit.fit(grey, rays, material, start=fitted, show="solving")]
         if material.exponents:
-            fits += [robust_fit.fit(grey, lights, material, start=s, show="solving") for s in ("dim", "highlight")]
-        fitted = fits[0] if len(fits) == 1 else _take_best(fits, grey, lights, material, grid)
+            fits += [robust_fit.fit(grey, rays, material, start=s, show="solving") for s in ("dim", "highlight")]
+        fitted = fits[0] if len(fits) == 1 else _take_best(fits, grey, rays, material, grid)
     for _ in track(range(SWEEPS), "smoothing", SWEEPS):
         near = neighbourhood_normals(fitted.normal, fitted.noise, grid)
-        fitted = robust_fit.fit(grey, lights, material, used=used, steps=1, start=fitted, toward=near)
+        fitted = robust_fit.fit(grey, rays, material, used=used, steps=1, start=fitted, toward=near)
     return fitted
 
 
-def _take_best(fits: Sequence[PixelFit], grey: Tensor, lights: Tensor, material: Material, grid: Grid) -> PixelFit:
+def _take_best(fits: Sequence[PixelFit], grey: Tensor, rays: Rays, material: Material, grid: Grid) -> PixelFit:
     """For every pixel the fit of low cost that agrees with the neighbours."""
     noise = torch.stack([f.noise for f in fits]).amin(0)
-    costs = [robust_fit.common_cost(f, noise, grey, lights, material) for f in fits]
+    costs = [robust_fit.common_cost(f, noise, grey, rays, material) for f in fits]
     taken = agree([f.normal for f in fits], costs, grid)
     values = {f.name: torch.stack([getattr(fit, f.name) for fit in fits]) for f in fields(PixelFit)}
     return PixelFit(**{n: v.gather(0, taken[None, :, None].expand(1, -1, v.shape[2]))[0] for n, v in values.items()})
 
 
-def _report_roughness(sample: Tensor, lights: Tensor, material: Material, report: list[str]) -> float:
+def _report_roughness(sample: Tensor, rays: Rays, material: Material, report: list[str]) -> float:
     """Say what roughness was found, and how well the photographs tell it; its standard error."""
-    uncertain = roughness_error(sample, lights, material)
+    uncertain = roughness_error(sample, rays, material)
     limit = " (the end of the search: it may be more)" if material.roughness >= ROUGHNESSES[-1] else ""
     report.append(
         f"roughness {math.degrees(material.roughness):.1f} degrees{limit}, one for the whole capture; standard error "
@@ -190,9 +192,9 @@ def _report_roughness(sample: Tensor, lights: Tensor, material: Material, report
     reasons = []
     if uncertain > IDENTIFIABLE:
         reasons.append("its error is large")
-    if len(lights) < MIN_LIGHTS_HELD_OUT:
-        reasons.append(f"{len(lights)} lights are few, and noise then passes for a smoother surface")
-    if bool((lights[:, 2] > math.cos(FRONTAL)).all()):
+    if len(rays) < MIN_LIGHTS_HELD_OUT:
+        reasons.append(f"{len(rays)} lights are few, and noise then passes for a smoother surface")
+    if bool((rays.light[..., 2] > math.cos(FRONTAL)).all()):
         reasons.append(f"all lights are within {math.degrees(FRONTAL):.0f} degrees of the view")
     if reasons:
         report.append(f"take the roughness as unknown: {' and '.join(reasons)}.")
@@ -210,7 +212,7 @@ def _report_falloff(material: Material, report: list[str]) -> None:
 
 
 def _colours(
-    fitted: PixelFit, grey: Tensor, images: Tensor, inside: Tensor, lights: Tensor, material: Material, used: str
+    fitted: PixelFit, grey: Tensor, images: Tensor, inside: Tensor, rays: Rays, material: Material, used: str
 ) -> tuple[Tensor, Tensor]:
     """Albedo (P, C) and strengths of lobes (P, L, C)."""
     place = inside.flatten().nonzero().flatten()
@@ -218,23 +220,23 @@ def _colours(
 
     def work(part: slice) -> tuple[Tensor, Tensor]:
         channels = flat.index_select(2, place[part]).permute(2, 0, 1).to(grey)
-        return robust_fit.colour(fitted[part], grey[part], channels, lights, material, used)
+        return robust_fit.colour(fitted[part], grey[part], channels, rays.at(part), material, used)
 
     albedo, lobes = zip(*robust_fit.side_by_side(work, robust_fit.chunks(grey)), strict=True)
     return torch.cat(albedo), torch.cat(lobes)
 
 
-def _spread(fitted: PixelFit, grey: Tensor, lights: Tensor, material: Material, used: str, grid: Grid) -> Tensor:
+def _spread(fitted: PixelFit, grey: Tensor, rays: Rays, material: Material, used: str, grid: Grid) -> Tensor:
     """Standard error of the normal in radians, (P, 1); misfit that neighbours share counts as one observation."""
 
     def residuals(part: slice) -> Tensor:
         some = fitted[part]
-        predicted = robust_fit.predict(some, lights, material)
+        predicted = robust_fit.predict(some, rays.at(part), material)
         root = robust_fit.weights(some, grey[part], predicted, used).sqrt()
         return (grey[part] - predicted) * root / robust_fit.mean_of(grey[part])
 
     shared = shared_misfit(residuals, grid, len(grey))
-    return fitted.spread * (1 + shared * (len(lights) - 1)).sqrt()
+    return fitted.spread * (1 + shared * (len(rays) - 1)).sqrt()
 
 
 def _gather(images: Tensor, inside: Tensor) -> Tensor:
@@ -276,8 +278,8 @@ def _solve_batch(
 ) -> Reconstruction:
     """One capture after the other: each has its own model and roughness."""
     batch = len(images)
-    for name, value, ndim in (("lights", lights, 3), ("mask", mask, 4)):
-        if value is not None and (value.ndim != ndim or len(value) != batch):
+    for name, value, axes in (("lights", lights, (3, 5)), ("mask", mask, (4,))):
+        if value is not None and (value.ndim not in axes or len(value) != batch):
             raise ShapeError(
                 name, expected=f"{batch} captures in a batch", got=str(tuple(value.shape)), mend="stack one per capture"
             )
@@ -296,11 +298,12 @@ def _check(images: Tensor, lights: Tensor, mask: Tensor | None) -> Tensor:
     """Shapes and units; the mask as (H, W) bool."""
     if images.ndim != 4 or 0 in images.shape:
         raise ShapeError("images", expected="(K, C, H, W)", got=str(tuple(images.shape)), mend="stack the images")
-    if lights.shape != (len(images), 3):
-        raise ShapeError(
-            "lights", expected=f"({len(images)}, 3)", got=str(tuple(lights.shape)), mend="one light per image"
-        )
     size = tuple(images.shape[-2:])
+    wanted = (len(images), 3)
+    if tuple(lights.shape) not in (wanted, (*wanted, *size)):
+        raise ShapeError(
+            "lights", expected=f"{wanted} or {(*wanted, *size)}", got=str(tuple(lights.shape)), mend="one per image"
+        )
     if mask is None:
         mask = torch.ones(1, *size, dtype=torch.bool, device=images.device)
     if tuple(mask.shape) != (1, *size) or mask.dtype != torch.bool:
@@ -309,7 +312,11 @@ def _check(images: Tensor, lights: Tensor, mask: Tensor | None) -> Tensor:
         )
     if not bool(mask.any()):
         raise CaptureError("mask", expected="some pixels", got="none", mend="mark the object")
-    check_unit("lights", lights, 1, gaps=False)
+    return mask[0]
+
+
+def _check_lights(lights: Tensor, report: list[str]) -> None:
+    """Lights must be in front and span space: warn from a condition number of 10, refuse above 30."""
     behind = int((lights[:, 2] <= 0).sum())
     if 2 * behind > len(lights):
         raise CaptureError(
@@ -318,11 +325,6 @@ def _check(images: Tensor, lights: Tensor, mask: Tensor | None) -> Tensor:
             got=f"{behind} of {len(lights)} behind the object",
             mend="use swap_opencv_frame if they are in OpenCV's frame",
         )
-    return mask[0]
-
-
-def _check_conditioning(lights: Tensor, report: list[str]) -> None:
-    """Lights must span space: warn from a condition number of 10, refuse above 30."""
     if len(lights) < 3:
         raise CaptureError("lights", expected="at least 3", got=str(len(lights)), mend="photograph under more lights")
     spanned = condition(lights)
@@ -350,6 +352,13 @@ def _undetermined(grey: Tensor) -> Tensor:
             mend="check exposure, mask and the order of the lights",
         )
     return dark
+
+
+def _directions(lights: Tensor, inside: Tensor) -> Tensor:
+    """Unit directions to the lights, (K, 3), or of a map those of the P pixels inside, (P, K, 3)."""
+    directions = lights if lights.ndim == 2 else lights[:, :, inside].permute(2, 0, 1)
+    check_unit("lights", directions, directions.ndim - 1, gaps=False)
+    return directions
 
 
 def _sample(dark: Tensor, seed: int) -> Tensor:
