@@ -18,6 +18,7 @@ from torch_orennayar import (
     Reconstruction,
     ShapeError,
     angular_error,
+    bands,
     load_capture,
     photometric_stereo,
     srgb_to_linear,
@@ -104,6 +105,20 @@ def test_same_seed_same_result(rough: Scene) -> None:
     first, second = (photometric_stereo(rough.images, rough.lights, rough.mask, seed=3) for _ in range(2))
     assert torch.equal(first.normal, second.normal)
     assert first.scores == second.scores
+
+
+@pytest.mark.parametrize("model", ["auto", "lambert"])
+def test_bands_leave_no_seam(
+    balls: dict[str, tuple[Tensor, Tensor]], model: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A large capture is solved in bands of rows: the same result as at once."""
+    scene = rendered.capture(balls["balls"], rendered.Surface("lambert", 0, 0.6, ((0.4, 0.2),)), lights=24, size=80)
+    at_once = photometric_stereo(scene.images, scene.lights, scene.mask, model=model)
+    monkeypatch.setattr(bands, "BAND", 1)
+    assert bands.band_height(24, scene.mask[0]) < scene.mask.shape[1]
+    banded = photometric_stereo(scene.images, scene.lights, scene.mask, model=model)
+    for name in ("normal", "albedo", "residual", "confidence", *(["specular"] if model == "auto" else [])):
+        assert torch.allclose(getattr(banded, name), getattr(at_once, name), atol=1e-5), name
 
 
 def test_batch_is_one_after_the_other(rough: Scene, smooth: Scene) -> None:

@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Sequence
-from dataclasses import fields
 
 import torch
 from torch import Tensor
 
 from . import _robust_fit as robust_fit
-from ._checks import check_floating, check_unit
-from ._robust_fit import PixelFit
+from ._checks import check_floating
+from .bands import band_height, gather, gather_directions, solve_bands
 from .errors import CaptureError, RangeError, ShapeError
+from .evaluation import working_dtype
 from .material import Material, Rays
-from .neighbours import Grid, agree, neighbourhood_normals, shared_misfit
-from .progress import track
 from .reconstruction import Reconstruction, stack
 from .reflectance import get_model
 from .selection import (
@@ -35,8 +32,6 @@ from .selection import (
 STEEP = 1.25
 """Surfaces seldom fall off with a larger exponent: of 151 measured materials those under glaze have about 1.1."""
 FRONTAL = math.radians(15)
-SWEEPS = 8
-"""Steps in which neighbours pull at pixels that fit badly."""
 
 
 @torch.no_grad()
@@ -109,15 +104,14 @@ def photometric_stereo(
         return _solve_batch(images, lights, mask, model, robust, seed)
     inside = _check(images, lights, mask)
     report: list[str] = []
-    grey = _gather(images, inside)
-    rays = Rays.of(_directions(lights, inside).to(grey))
-    _check_lights(rays.typical(), report)
-    dark = _undetermined(grey)
+    dark = _look(images, inside)
+    picked = _sample(dark, inside, seed)
+    seen_by = Rays.of(gather_directions(lights, picked).to(working_dtype(images.dtype)))
+    _check_lights(seen_by.typical(), report)
     scores: dict[str, float] = {}
     material, used, uncertain = Material(), "middle" if robust else "all", 0.0
     if robust:
-        picked = _sample(dark, seed)
-        sample, seen_by = grey[picked], rays.at(picked)
+        sample = gather(images, picked)
         if model == "auto":
             chosen = choose(sample, seen_by, seed)
             scores = chosen.scores
@@ -129,56 +123,23 @@ def photometric_stereo(
             uncertain = _report_roughness(sample, seen_by, material, report)
         used = "middle" if model == "lambert" else "lit"
         _report_falloff(material, report)
-        fitted = _fit(grey, rays, material, used, Grid(inside))
-    else:
-        fitted = robust_fit.least_squares(grey, rays)
-    albedo, lobes = _colours(fitted, grey, images, inside, rays, material, used)
-    spread = _spread(fitted, grey, rays, material, used, Grid(inside))
-    spread = torch.where(_unsure(dark, fitted, len(lights), material.model, report), torch.inf, spread)
-
-    def canvas(values: Tensor) -> Tensor:
-        empty = values.new_zeros(values.shape[1], *inside.shape)
-        empty[:, inside] = values.T
-        return empty
-
-    scale = [8 / (exponent + 8) for exponent in material.exponents]  # blinn_phong's own factor
+    maps = solve_bands(images, lights, inside, material, used)
+    _report_doubts(dark, maps, len(images), material.model, report)
+    hopeless = dark if len(images) > 3 else inside
     return Reconstruction(
-        normal=canvas(fitted.normal),
-        albedo=canvas(albedo),
-        roughness=canvas(torch.full_like(fitted.albedo, material.roughness)),
-        residual=canvas(fitted.residual),
-        confidence=canvas(1 / (1 + (spread / math.radians(2)) ** 2)),
+        normal=maps["normal"],
+        albedo=maps["albedo"],
+        roughness=inside[None].to(maps["normal"]) * material.roughness,
+        residual=maps["residual"],
+        confidence=maps["confidence"].masked_fill_(hopeless, 0),
         model=material.model,
         scores=scores,
         report=tuple(report),
-        specular=torch.stack([canvas(lobes[:, k]) * s for k, s in enumerate(scale)]) if scale else None,
+        specular=maps["specular"].unflatten(0, (len(material.exponents), -1)) if material.exponents else None,
         exponents=material.exponents,
         falloff=float(material.falloff),
         roughness_error=uncertain,
     )
-
-
-def _fit(grey: Tensor, rays: Rays, material: Material, used: str, grid: Grid) -> PixelFit:
-    """All pixels: from Lambert, with lobes from other starts too, then with the neighbours."""
-    fitted = robust_fit.fit(grey, rays, Material(), used="middle", show="solving")
-    if used == "lit":
-        fits = [robust_fit.fit(grey, rays, material, start=fitted, show="solving")]
-        if material.exponents:
-            fits += [robust_fit.fit(grey, rays, material, start=s, show="solving") for s in ("dim", "highlight")]
-        fitted = fits[0] if len(fits) == 1 else _take_best(fits, grey, rays, material, grid)
-    for _ in track(range(SWEEPS), "smoothing", SWEEPS):
-        near = neighbourhood_normals(fitted.normal, fitted.noise, grid)
-        fitted = robust_fit.fit(grey, rays, material, used=used, steps=1, start=fitted, toward=near)
-    return fitted
-
-
-def _take_best(fits: Sequence[PixelFit], grey: Tensor, rays: Rays, material: Material, grid: Grid) -> PixelFit:
-    """For every pixel the fit of low cost that agrees with the neighbours."""
-    noise = torch.stack([f.noise for f in fits]).amin(0)
-    costs = [robust_fit.common_cost(f, noise, grey, rays, material) for f in fits]
-    taken = agree([f.normal for f in fits], costs, grid)
-    values = {f.name: torch.stack([getattr(fit, f.name) for fit in fits]) for f in fields(PixelFit)}
-    return PixelFit(**{n: v.gather(0, taken[None, :, None].expand(1, -1, v.shape[2]))[0] for n, v in values.items()})
 
 
 def _report_roughness(sample: Tensor, rays: Rays, material: Material, report: list[str]) -> float:
@@ -211,66 +172,46 @@ def _report_falloff(material: Material, report: list[str]) -> None:
         report.append("a falloff as steep as this also comes from linear images read as sRGB: check the encoding.")
 
 
-def _colours(
-    fitted: PixelFit, grey: Tensor, images: Tensor, inside: Tensor, rays: Rays, material: Material, used: str
-) -> tuple[Tensor, Tensor]:
-    """Albedo (P, C) and strengths of lobes (P, L, C)."""
-    place = inside.flatten().nonzero().flatten()
-    flat = images.flatten(2)
-
-    def work(part: slice) -> tuple[Tensor, Tensor]:
-        channels = flat.index_select(2, place[part]).permute(2, 0, 1).to(grey)
-        return robust_fit.colour(fitted[part], grey[part], channels, rays.at(part), material, used)
-
-    albedo, lobes = zip(*robust_fit.side_by_side(work, robust_fit.chunks(grey)), strict=True)
-    return torch.cat(albedo), torch.cat(lobes)
-
-
-def _spread(fitted: PixelFit, grey: Tensor, rays: Rays, material: Material, used: str, grid: Grid) -> Tensor:
-    """Standard error of the normal in radians, (P, 1); misfit that neighbours share counts as one observation."""
-
-    def residuals(part: slice) -> Tensor:
-        some = fitted[part]
-        predicted = robust_fit.predict(some, rays.at(part), material)
-        root = robust_fit.weights(some, grey[part], predicted, used).sqrt()
-        return (grey[part] - predicted) * root / robust_fit.mean_of(grey[part])
-
-    shared = shared_misfit(residuals, grid, len(grey))
-    return fitted.spread * (1 + shared * (len(rays) - 1)).sqrt()
-
-
-def _gather(images: Tensor, inside: Tensor) -> Tensor:
-    """Grey observations inside the mask, (P, K), float32 or float64, all finite."""
-    dtype = torch.float64 if images.dtype == torch.float64 else torch.float32
-    grey = torch.empty(int(inside.sum()), len(images), dtype=dtype, device=images.device)
-    broken = torch.zeros(len(grey), dtype=torch.bool, device=images.device)
-    for index, image in enumerate(images):
-        mean = image[:, inside].to(dtype).mean(0)
-        broken |= ~mean.isfinite()
-        grey[:, index] = mean
-    if bool(broken.any()):
+def _look(images: Tensor, inside: Tensor) -> Tensor:
+    """Where fewer than three observations are clearly above zero, (H, W) bool; all must be finite."""
+    rows = band_height(len(images), inside)
+    dark = torch.zeros_like(inside)
+    broken = 0
+    for top in range(0, len(inside), rows):
+        part = inside[top : top + rows]
+        grey = gather(images[:, :, top : top + rows], part.flatten())
+        broken += int((~grey.isfinite()).any(1).sum())
+        level = robust_fit.SHADOW * grey.amax(1, keepdim=True)
+        dark[top : top + rows][part] = (grey > level.clamp_min(0)).sum(1) < 3
+    if broken:
         raise RangeError(
             "images",
             expected="finite values inside the mask",
-            got=f"NaN or infinity in {int(broken.sum())} pixels",
+            got=f"NaN or infinity in {broken} pixels",
             mend="take those pixels out of the mask",
         )
-    return grey
+    if bool((dark == inside).all()):
+        raise CaptureError(
+            "images",
+            expected="pixels that at least 3 lights reach",
+            got="none inside the mask",
+            mend="check exposure, mask and the order of the lights",
+        )
+    return dark
 
 
-def _unsure(dark: Tensor, fitted: PixelFit, lights: int, model: str, report: list[str]) -> Tensor:
-    """Pixels that get no confidence, (P, 1) bool; reports them, and albedo outside the unit of the images."""
+def _report_doubts(dark: Tensor, maps: dict[str, Tensor], lights: int, model: str, report: list[str]) -> None:
+    """Pixels that get no confidence, and albedo outside the unit of the images."""
     if bool(dark.any()):
         report.append(f"{int(dark.sum())} pixels are lit by fewer than 3 lights; their confidence is 0.")
     if lights == 3:
         report.append("3 lights leave no observation to check the normals with: all confidence is 0.")
-    beyond = int((fitted.albedo > 1.05).sum())
+    beyond = int((maps["albedo_grey"] > 1.05).sum())
     if model != "lambert" and beyond:
         report.append(
             f"albedo is above 1 in {beyond} pixels: images are not in units of white, and light between facets "
             "is taken as of a white surface there."
         )
-    return (dark | (lights == 3))[:, None]
 
 
 def _solve_batch(
@@ -340,29 +281,8 @@ def _check_lights(lights: Tensor, report: list[str]) -> None:
         warnings.warn(report[-1], stacklevel=4)
 
 
-def _undetermined(grey: Tensor) -> Tensor:
-    """Pixels with fewer than three observations that are clearly above zero, (P,) bool; not all of them."""
-    level = robust_fit.SHADOW * grey.amax(1, keepdim=True)
-    dark = (grey > level.clamp_min(0)).sum(1) < 3
-    if bool(dark.all()):
-        raise CaptureError(
-            "images",
-            expected="pixels that at least 3 lights reach",
-            got="none inside the mask",
-            mend="check exposure, mask and the order of the lights",
-        )
-    return dark
-
-
-def _directions(lights: Tensor, inside: Tensor) -> Tensor:
-    """Unit directions to the lights, (K, 3), or of a map those of the P pixels inside, (P, K, 3)."""
-    directions = lights if lights.ndim == 2 else lights[:, :, inside].permute(2, 0, 1)
-    check_unit("lights", directions, directions.ndim - 1, gaps=False)
-    return directions
-
-
-def _sample(dark: Tensor, seed: int) -> Tensor:
-    """Indices of the pixels that decide, among those that are not ``dark``."""
-    lit = (~dark).nonzero().flatten()
+def _sample(dark: Tensor, inside: Tensor, seed: int) -> Tensor:
+    """Indices of the pixels that decide, drawn among those that are lit."""
+    lit = (inside & ~dark).flatten().nonzero().flatten()
     generator = torch.Generator().manual_seed(seed)
     return lit[torch.randperm(len(lit), generator=generator)[:SAMPLE_PIXELS].to(lit.device)]

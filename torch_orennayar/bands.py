@@ -1,0 +1,146 @@
+"""Solve a capture of one known material for normals, albedo and highlights, in bands of rows that bound the memory."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import fields
+
+import torch
+from torch import Tensor
+
+from . import _robust_fit as robust_fit
+from ._checks import check_unit
+from ._robust_fit import PixelFit
+from .evaluation import working_dtype
+from .material import Material, Rays
+from .neighbours import Grid, agree, neighbourhood_normals, shared_misfit
+from .progress import track
+
+BAND, BAND_ACCELERATOR = 2**26, 2**30
+"""Observations that are solved together: what bounds the memory of large captures."""
+SWEEPS = 8
+"""Steps in which neighbours pull at pixels that fit badly."""
+OVERLAP = SWEEPS + 5
+"""Rows beyond a band that its pixels hear of: through the sweeps, the choice of starts and the shared misfit."""
+
+
+def solve_bands(images: Tensor, lights: Tensor, inside: Tensor, material: Material, used: str) -> dict[str, Tensor]:
+    """Maps (C, H, W) of the whole picture, solved in bands of rows that bound the memory.
+
+    Bands overlap by as many rows as pixels see of their neighbours, so that no seam shows.
+    """
+    height = len(inside)
+    rows = band_height(len(images), inside)
+    whole: dict[str, Tensor] = {}
+    for top in range(0, height, rows):
+        bottom = min(top + rows, height)
+        first, last = max(top - OVERLAP, 0), min(bottom + OVERLAP, height)
+        if not bool(inside[top:bottom].any()):
+            continue
+        part = lights if lights.ndim == 2 else lights[:, :, first:last]
+        found = _solve(images[:, :, first:last], part, inside[first:last], material, used)
+        if rows >= height:
+            return found
+        for name, value in found.items():
+            if name not in whole:
+                whole[name] = value.new_zeros(len(value), *inside.shape)
+            whole[name][:, top:bottom] = value[:, top - first : bottom - first]
+    return whole
+
+
+def band_height(count: int, inside: Tensor) -> int:
+    """Rows that are solved together."""
+    pixels = (BAND if inside.device.type == "cpu" else BAND_ACCELERATOR) // count
+    return max(4 * OVERLAP, pixels // inside.shape[1])
+
+
+def _solve(images: Tensor, lights: Tensor, inside: Tensor, material: Material, used: str) -> dict[str, Tensor]:
+    """Maps (C, H, W) of one band; ``albedo_grey`` is what the grey observations say."""
+    grid = Grid(inside)
+    grey = gather(images, inside.flatten())
+    rays = Rays.of(gather_directions(lights, inside.flatten()).to(grey))
+    fitted = robust_fit.least_squares(grey, rays) if used == "all" else _fit(grey, rays, material, used, grid)
+    albedo, strengths = _colours(fitted, grey, images, inside, rays, material, used)
+    spread = _spread(fitted, grey, rays, material, used, grid)
+
+    def canvas(values: Tensor) -> Tensor:
+        drawn = values.new_zeros(values.shape[1], *inside.shape)
+        drawn[:, inside] = values.T
+        return drawn
+
+    maps = {
+        "normal": canvas(fitted.normal),
+        "albedo": canvas(albedo),
+        "albedo_grey": canvas(fitted.albedo),
+        "residual": canvas(fitted.residual),
+        "confidence": canvas(1 / (1 + (spread / math.radians(2)) ** 2)),
+    }
+    if material.exponents:
+        scale = strengths.new_tensor([8 / (exponent + 8) for exponent in material.exponents])  # blinn_phong's factor
+        maps["specular"] = canvas((strengths * scale[:, None]).flatten(1))
+    return maps
+
+
+def _fit(grey: Tensor, rays: Rays, material: Material, used: str, grid: Grid) -> PixelFit:
+    """All pixels: from Lambert, with lobes from other starts too, then with the neighbours."""
+    fitted = robust_fit.fit(grey, rays, Material(), used="middle", show="solving")
+    if used == "lit":
+        fits = [robust_fit.fit(grey, rays, material, start=fitted, show="solving")]
+        if material.exponents:
+            fits += [robust_fit.fit(grey, rays, material, start=s, show="solving") for s in ("dim", "highlight")]
+        fitted = fits[0] if len(fits) == 1 else _take_best(fits, grey, rays, material, grid)
+    for _ in track(range(SWEEPS), "smoothing", SWEEPS):
+        near = neighbourhood_normals(fitted.normal, fitted.noise, grid)
+        fitted = robust_fit.fit(grey, rays, material, used=used, steps=1, start=fitted, toward=near)
+    return fitted
+
+
+def _take_best(fits: Sequence[PixelFit], grey: Tensor, rays: Rays, material: Material, grid: Grid) -> PixelFit:
+    """For every pixel the fit of low cost that agrees with the neighbours."""
+    noise = torch.stack([f.noise for f in fits]).amin(0)
+    costs = [robust_fit.common_cost(f, noise, grey, rays, material) for f in fits]
+    taken = agree([f.normal for f in fits], costs, grid)
+    values = {f.name: torch.stack([getattr(fit, f.name) for fit in fits]) for f in fields(PixelFit)}
+    return PixelFit(**{n: v.gather(0, taken[None, :, None].expand(1, -1, v.shape[2]))[0] for n, v in values.items()})
+
+
+def _colours(
+    fitted: PixelFit, grey: Tensor, images: Tensor, inside: Tensor, rays: Rays, material: Material, used: str
+) -> tuple[Tensor, Tensor]:
+    """Albedo (P, C) and strengths of lobes (P, L, C)."""
+    place = inside.flatten().nonzero().flatten()
+    flat = images.flatten(2)
+
+    def work(part: slice) -> tuple[Tensor, Tensor]:
+        channels = flat.index_select(2, place[part]).permute(2, 0, 1).to(grey)
+        return robust_fit.colour(fitted[part], grey[part], channels, rays.at(part), material, used)
+
+    albedo, lobes = zip(*robust_fit.side_by_side(work, robust_fit.chunks(grey)), strict=True)
+    return torch.cat(albedo), torch.cat(lobes)
+
+
+def _spread(fitted: PixelFit, grey: Tensor, rays: Rays, material: Material, used: str, grid: Grid) -> Tensor:
+    """Standard error of the normal in radians, (P, 1); misfit that neighbours share counts as one observation."""
+
+    def residuals(part: slice) -> Tensor:
+        some = fitted[part]
+        predicted = robust_fit.predict(some, rays.at(part), material)
+        root = robust_fit.weights(some, grey[part], predicted, used).sqrt()
+        return (grey[part] - predicted) * root / robust_fit.mean_of(grey[part])
+
+    shared = shared_misfit(residuals, grid, len(grey))
+    return fitted.spread * (1 + shared * (len(rays) - 1)).sqrt()
+
+
+def gather(images: Tensor, where: Tensor) -> Tensor:
+    """Grey observations, (P, K), float32 or float64; ``where`` picks P of the H W pixels, as bool or indices."""
+    seen = [image.flatten(1)[:, where].to(working_dtype(images.dtype)).mean(0) for image in images]
+    return torch.stack(seen, 1)
+
+
+def gather_directions(lights: Tensor, where: Tensor) -> Tensor:
+    """Unit directions to the lights, (K, 3), or of a map those at P of its pixels, (P, K, 3)."""
+    directions = lights if lights.ndim == 2 else lights.flatten(2)[:, :, where].permute(2, 0, 1)
+    check_unit("lights", directions, directions.ndim - 1, gaps=False)
+    return directions
