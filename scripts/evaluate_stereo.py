@@ -3,9 +3,10 @@
     python scripts/evaluate_stereo.py [FOLDER...] [--output out/stereo] [--quick]
 
 Per object and method: mean and median angular error, seconds, and what `auto` chose. Without folders,
-and with them too, a rendered benchmark (`rendered.py`: objects x measured materials x shadows). Then, on the first
+and with them too, a rendered benchmark (`rendered.py`: objects x measured materials x shadows). Beside this package's
+own solvers stand those of others, written from their papers (`robust_baselines.py`). Then, on the first
 folder or the first rendered capture: error with few lights, with wrong lights and with wrong intensities, and error
-against predicted error. Writes stereo.json and pictures, prints tables. The seconds of other methods are quoted.
+against predicted error. Writes stereo.json and pictures, prints tables.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ import numpy as np
 import rendered
 import torch
 import torch.nn.functional as F
+from robust_baselines import SOLVERS
 from scipy.stats import spearmanr
 from timing import alone
 from torch import Tensor
@@ -101,6 +103,14 @@ def measure(case: Photographs, methods: dict[str, Solve]) -> dict[str, dict[str,
             "roughness": math.degrees(found.roughness.max().item()),
             "rank": float(spearmanr(found.confidence[case.mask], error, nan_policy="omit")[0]),
         }
+    grey = case.images.mean(1)[:, case.mask[0]].T.contiguous()
+    for name, solver in SOLVERS.items():
+        begun = time.perf_counter()
+        normal = torch.zeros_like(case.normal)
+        normal[:, case.mask[0]] = F.normalize(solver(grey, case.lights), dim=1).T
+        seconds = time.perf_counter() - begun
+        error = angular_error(normal, case.normal, case.mask).as_subclass(Tensor)[case.mask]
+        rows[name] = {"mean": error.nanmean().item(), "median": error.nanmedian().item(), "seconds": seconds}
     return rows
 
 
@@ -204,17 +214,17 @@ def draw(path: Path, curves: dict[str, dict[Any, float]], axes: tuple[str, str],
 
 def show(results: dict[str, dict[str, dict[str, Any]]]) -> None:
     """Print errors per object and method, and means."""
-    methods = list(METHODS)
-    print(f"{'mean error, degrees':36}" + "".join(f"{m:>15}" for m in methods) + "  auto chose")
+    methods = [*METHODS, *SOLVERS]
+    print(f"{'mean error, degrees':36}" + "".join(f"{m:>14}" for m in methods) + "  auto chose")
     for name, rows in results.items():
         auto = rows["auto"]
         chosen = f"{auto['model']}" + (f" {auto['roughness']:.0f} deg" if auto["roughness"] else "")
         chosen += f", falloff {auto['falloff']:.2f}" if auto["falloff"] != 1 else ""
         chosen += f", lobes {auto['exponents']}" if auto["exponents"] else ""
-        print(f"{name:36}" + "".join(f"{rows[m]['mean']:15.2f}" for m in methods) + f"  {chosen}")
-    print(f"{'mean':36}" + "".join(f"{np.mean([r[m]['mean'] for r in results.values()]):15.2f}" for m in methods))
+        print(f"{name:36}" + "".join(f"{rows[m]['mean']:14.2f}" for m in methods) + f"  {chosen}")
+    print(f"{'mean':36}" + "".join(f"{np.mean([r[m]['mean'] for r in results.values()]):14.2f}" for m in methods))
     seconds = {m: np.mean([r[m]["seconds"] for r in results.values()]) for m in methods}
-    print(f"{'seconds, mean':36}" + "".join(f"{seconds[m]:15.2f}" for m in methods))
+    print(f"{'seconds, mean':36}" + "".join(f"{seconds[m]:14.2f}" for m in methods))
 
 
 def main() -> None:
@@ -250,7 +260,7 @@ def main() -> None:
             rows = document[title].values()
             points = {
                 m: {float(np.mean([r[m]["seconds"] for r in rows])): float(np.mean([r[m]["mean"] for r in rows]))}
-                for m in METHODS
+                for m in (*METHODS, *SOLVERS)
             }
             axes = ("seconds, mean over objects", "mean angular error, degrees")
             draw(options.output / f"{title}.png", points, axes, title=title, log="x")
