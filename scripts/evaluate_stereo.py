@@ -25,7 +25,7 @@ import torch
 import torch.nn.functional as F
 from robust_baselines import SOLVERS
 from scipy.stats import spearmanr
-from timing import alone
+from timing import alone, forget_peak, peak_memory
 from torch import Tensor
 
 from torch_orennayar import CaptureError, Reconstruction, angular_error, load_capture, photometric_stereo
@@ -180,11 +180,10 @@ def calibration(cases: list[Photographs]) -> dict[str, dict[float, float]]:
 
 def peak(folder: str) -> float:
     """Peak memory in MB of a process that loads and solves a folder with `auto`."""
-    Path("/proc/self/clear_refs").write_text("5")  # the high-water mark of the parent is inherited
+    forget_peak()
     case = from_folder(folder)
     METHODS["auto"](case.images, case.lights, case.mask)
-    rows = dict(row.split(":", 1) for row in Path("/proc/self/status").read_text().splitlines())
-    return int(rows["VmHWM"].split()[0]) / 1024
+    return peak_memory() / 2**20
 
 
 def draw(path: Path, curves: dict[str, dict[Any, float]], axes: tuple[str, str], *, log: str = "", title: str) -> None:

@@ -106,10 +106,20 @@ def _answer(sender: Connection, function: Callable[..., object], arguments: tupl
 def _measure(sender: Connection, make: Callable[..., Call], size: int, arguments: tuple[object, ...]) -> None:
     make(16, *arguments)()  # code and threads are loaded, and no memory to speak of kept
     call = make(size, *arguments)
-    Path("/proc/self/clear_refs").write_text("5")  # resets the high-water mark
+    forget_peak()
     before = _status("VmRSS")
     call()
-    sender.send(_status("VmHWM") - before)
+    sender.send(peak_memory() - before)
+
+
+def forget_peak() -> None:
+    """Reset the high-water mark of memory, which a process inherits from its parent."""
+    Path("/proc/self/clear_refs").write_text("5")
+
+
+def peak_memory() -> int:
+    """The most bytes that this process has held since it forgot its peak."""
+    return _status("VmHWM")
 
 
 def _status(field: str) -> int:

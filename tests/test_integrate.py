@@ -1,13 +1,24 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from torch_orennayar import Camera, CaptureError, RangeError, ShapeError, integrate_normals
+from torch_orennayar import (
+    Camera,
+    CaptureError,
+    RangeError,
+    ShapeError,
+    decode_normals,
+    integrate,
+    integrate_normals,
+)
+from torch_orennayar.images import read_image
 
 
 def waves(size: int) -> tuple[Tensor, Tensor]:
@@ -81,3 +92,75 @@ def test_normals_at_the_horizon_stay_finite() -> None:
 def test_bad_input(normal: Tensor, mask: Tensor | None, error: type[Exception]) -> None:
     with pytest.raises(error):
         integrate_normals(normal, mask)
+
+
+def spheres(size: int, camera: Camera | None) -> tuple[Tensor, Tensor, Tensor]:
+    """A small sphere in front of a large one: normals, mask, height (no camera, pixels) or depth; exact."""
+    if camera is None:
+        row, column = torch.meshgrid(torch.arange(size).double(), torch.arange(size).double(), indexing="ij")
+        start = torch.stack((column + 0.5 - size / 2, size / 2 - row - 0.5, torch.zeros_like(row)))
+        ray = torch.tensor((0.0, 0.0, -1.0)).double().reshape(3, 1, 1)
+    else:
+        start, ray = torch.zeros(3, size, size).double(), camera.rays((size, size))[0].double()
+    unit = size / 2 if camera is None else 1.0
+    away = 0.0 if camera is None else -12.0
+    nearest = torch.full((size, size), torch.inf).double()
+    normal = torch.zeros(3, size, size).double()
+    for x, y, z, radius in ((0.0, 0.0, -1.5, 0.9), (0.2, -0.1, 0.5, 0.4)):
+        centre = (torch.tensor((x, y, z)).double() * unit + torch.tensor((0.0, 0.0, away)).double()).reshape(3, 1, 1)
+        a, b = (ray * ray).sum(0), (ray * (start - centre)).sum(0)
+        root = b * b - a * ((start - centre).square().sum(0) - (radius * unit) ** 2)
+        depth = (-b - root.clamp_min(0).sqrt()) / a
+        hit = (root > 0) & (depth < nearest)
+        nearest = torch.where(hit, depth, nearest)
+        normal = torch.where(hit, F.normalize(start + ray * depth - centre, dim=0), normal)
+    mask = nearest.isfinite()[None]
+    return normal, mask, torch.where(mask, (-nearest if camera is None else nearest)[None], 0)
+
+
+@pytest.mark.parametrize(
+    "camera", [None, Camera.perspective(2 * math.atan(1 / 12))], ids=["orthographic", "perspective"]
+)
+def test_a_depth_edge_is_left_open(camera: Camera | None) -> None:
+    """Least squares bridges the gap and bends both spheres; here each keeps its shape."""
+    normal, mask, truth = spheres(96, camera)
+    found = integrate_normals(normal, mask, camera=camera)
+    if camera is not None:
+        found, truth = found.clamp_min(1e-9).log(), torch.where(mask, truth, 1).log()
+    size = 96 / 2 if camera is None else 1 / 12  # what one radius of the picture is in these units
+    centre = torch.zeros_like(mask)
+    centre[:, 44:60, 50:66] = True  # well inside the small sphere
+    rest = torch.zeros_like(mask)
+    rest[:, 14:80, 12:34] = True  # a part of the large one
+    for region in (centre, rest & mask):
+        error = (found - truth)[region]
+        assert (error - error.mean()).abs().max() < 0.01 * size
+
+
+@pytest.mark.parametrize(("name", "bar"), [("cat", 0.074), ("pot1", 0.635), ("reading", 0.257)])
+def test_real_normals_against_published_errors(data: Path, name: str, bar: float) -> None:
+    """Mean absolute depth error in mm, up to scale: no worse than bilateral normal integration is reported."""
+    folder = data / "integration" / name
+    colours = torch.from_numpy(read_image(folder / "normal_map.png").astype(np.float64) / 65535).permute(2, 0, 1)
+    mask = torch.from_numpy(read_image(folder / "mask.png") > 0)[None]
+    truth = torch.from_numpy(np.load(folder / "depth_gt.npz")["depth_gt"])[None].double()
+    camera = Camera.from_intrinsics(torch.from_numpy(np.loadtxt(folder / "K.txt")), mask.shape[1:])
+    found = integrate_normals(decode_normals(colours), mask, camera=camera)
+    scale = (truth[mask] / found[mask]).median()
+    assert (found * scale - truth)[mask].abs().mean() < bar
+
+
+def test_a_field_that_no_surface_has() -> None:
+    """A field with curl: finite, and no worse than by half the rise around a pixel."""
+    row, column = torch.meshgrid(torch.arange(32.0).double() - 15.5, torch.arange(32.0).double() - 15.5, indexing="ij")
+    swirl = F.normalize(torch.stack((-row, column, torch.full_like(row, 20.0))), dim=0)
+    assert integrate_normals(swirl).isfinite().all()
+
+
+def test_large_maps_start_from_half_the_size(monkeypatch: pytest.MonkeyPatch) -> None:
+    height, normal = waves(96)
+    at_once = integrate_normals(normal)
+    monkeypatch.setattr(integrate, "LARGE", 1000)
+    found = integrate_normals(normal)
+    assert (found - at_once).abs().max() < 0.05
+    assert ((found - found.mean()) - (height - height.mean())).abs().max() < 0.1

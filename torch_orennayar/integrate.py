@@ -1,24 +1,48 @@
-"""Depth from normals: weighted least squares over neighbouring pixels."""
+"""Depth from normals: chords between neighbouring pixels, cut where the surface is."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TypeAlias
+
 import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor
 
 from .camera import Camera
 from .errors import CaptureError, RangeError, ShapeError
+from .progress import track
 
-MIN_FACING = 0.05
-"""Cosine to the view below which a slope is cut; such pixels also weigh little."""
+Floats: TypeAlias = npt.NDArray[np.float64]
+Bools: TypeAlias = npt.NDArray[np.bool_]
+Indices: TypeAlias = npt.NDArray[np.int64]
+
+MIN_FACING = 0.02
+"""Cosine to the view below which a slope is cut."""
+SHARPNESS = (0.02, 8.0)
+"""How strictly a pixel takes the flatter of its two sides, per squared slope: from nearly not to nearly always.
+
+The last value does best on renders of five meshes (`scripts/evaluate_integration.py`); going there slowly
+matters, as a depth edge shows only once the surfaces beside it have come apart.
+"""
+STEPS, LAST_STEPS = 15, 3
+"""Solutions while the sharpness grows, of which the last are at its end."""
+TOLERANCE = 1e-4
+LARGE = 500_000
+"""Pixels above which half the size is solved first, and the whole starts from there."""
+LEAST_TRUST = 1e-9
+"""A cut edge keeps this weight: it decides how far apart two surfaces lie when nothing else does."""
 
 
 @torch.no_grad()
 def integrate_normals(normal: Tensor, mask: Tensor | None = None, *, camera: Camera | None = None) -> Tensor:
-    """Integrate normals to depth: the surface whose slopes between neighbours fit best, in least squares.
+    """Integrate normals to depth; depth edges are found and left open.
 
-    Neighbours weigh with the square of their cosines to the view. Smooth surfaces only: a depth
-    discontinuity is bridged by a slope. Not differentiable.
+    Between neighbours the surface follows the chord of a circle: it is perpendicular to the sum of both normals, in
+    perspective views too. Each pixel trusts the flatter of its two sides, in rows and in columns; edges that not both
+    pixels trust weigh little. Trust and depth take turns, from mild to strict. Not differentiable.
 
     Args:
         normal: (3, H, W) unit normals in the camera frame.
@@ -29,7 +53,8 @@ def integrate_normals(normal: Tensor, mask: Tensor | None = None, *, camera: Cam
         (1, H, W), 0 outside the mask. Without a camera: height toward the viewer in pixels, mean 0 over
         every connected region. With a perspective camera: positive distance along the optical axis,
         geometric mean 1 over every connected region. With an orthographic one: distance along the axis in
-        its units, mean 0 over every connected region.
+        its units, mean 0 over every connected region. How far a surface lies behind another that hides its
+        foot is a guess.
 
     Raises:
         ShapeError: shapes other than these.
@@ -37,7 +62,8 @@ def integrate_normals(normal: Tensor, mask: Tensor | None = None, *, camera: Cam
         CaptureError: an empty mask.
 
     Source:
-        Least-squares integration as reviewed by Queau, Durou & Aujol 2018, "Normal integration: a survey".
+        Trust in the flatter side: Cao, Santo, Shi, Okura & Matsushita 2022, "Bilateral normal integration". Chords,
+        edges that both pixels must trust, and the slow start are this package's.
 
     Example:
         >>> import torch, torch_orennayar as ton
@@ -46,22 +72,162 @@ def integrate_normals(normal: Tensor, mask: Tensor | None = None, *, camera: Cam
         [-0.75, 0.0, 0.75]
     """
     inside = _check(normal, mask)
-    height, width = inside.shape
+    size = (inside.shape[0], inside.shape[1])
     n = normal.detach().cpu().double()
-    if camera is None or not camera.is_perspective:
-        facing = n[2]
-        step_x, step_y = (1.0, 1.0) if camera is None else (float(2 / (height * f)) for f in camera.focal[0])
-    else:
-        facing = -(n * camera.rays((height, width))[0].double().cpu()).sum(0)
-        step_x, step_y = (float(2 / (height * f)) for f in camera.focal[0])
-    facing = facing.clamp_min(MIN_FACING)
-    # Slopes of height toward the viewer (orthographic) or of -log(depth) (perspective) per pixel.
-    slope_right, slope_down = -n[0] / facing * step_x, n[1] / facing * step_y
-    height_map = _solve(slope_right.numpy(), slope_down.numpy(), facing.numpy(), inside.cpu().numpy())
-    depth = torch.from_numpy(height_map).to(normal)[None]
+    perspective = camera is not None and camera.is_perspective
+    right, down = (1.0, 1.0) if camera is None else (2 / (size[0] * camera.focal[0].double())).tolist()
+    rays = camera.rays(size)[0].double().cpu().numpy() if camera is not None and perspective else None
+    field = _Field(n.numpy(), rays, inside.cpu().numpy(), (right, down))
+    depth = torch.from_numpy(_centre(_integrate(field), field.inside)).to(normal)[None]
     if camera is not None:
-        depth = (-depth).exp() if camera.is_perspective else -depth
+        depth = (-depth).exp() if perspective else -depth
     return torch.where(inside[None], depth, 0)
+
+
+@dataclass(frozen=True)
+class _Field:
+    """Normals on a grid of pixels.
+
+    Attributes:
+        normal: (3, H, W) camera frame.
+        rays: (3, H, W) points of the lines of sight at depth 1, z = -1; None for parallel ones.
+        inside: (H, W) bool.
+        step: from pixel to pixel, to the right and down: world units, or at depth 1.
+    """
+
+    normal: Floats
+    rays: Floats | None
+    inside: Bools
+    step: tuple[float, float]
+
+    def halved(self) -> _Field:
+        """Every four pixels as one."""
+        inside = _pool(self.inside[None].astype(float))[0]
+        share = np.maximum(inside, 1e-12)
+        normal = _pool(self.normal * self.inside) / share
+        normal /= np.maximum(np.linalg.norm(normal, axis=0), 1e-12)
+        rays = None if self.rays is None else _pool(self.rays) / _pool(np.ones_like(self.rays))
+        return _Field(normal, rays, inside > 0, (2 * self.step[0], 2 * self.step[1]))
+
+
+def _pool(values: Floats) -> Floats:
+    """Sums of 2 x 2 pixels, (C, H, W); odd ends are filled with 0."""
+    height, width = values.shape[1:]
+    padded = np.pad(values, ((0, 0), (0, height % 2), (0, width % 2)))
+    return padded[:, ::2, ::2] + padded[:, 1::2, ::2] + padded[:, ::2, 1::2] + padded[:, 1::2, 1::2]
+
+
+@dataclass(frozen=True)
+class _Pairs:
+    """Neighbours in rows or in columns.
+
+    Attributes:
+        first, second: (E,) indices of pixels.
+        rise: (E,) of the height from the first to the second if the surface has no edge there; of -log(depth) in
+            perspective.
+        scale: (2, E) factors by which a rise becomes a slope per pixel, seen by either pixel: small where it is steep.
+    """
+
+    first: Indices
+    second: Indices
+    rise: Floats
+    scale: Floats
+
+    @staticmethod
+    def of(field: _Field, axis: int) -> _Pairs:
+        """To the right (axis 0) or down (axis 1)."""
+        here, there = (np.s_[:, :-1], np.s_[:, 1:]) if axis == 0 else (np.s_[:-1, :], np.s_[1:, :])
+        inside, step = field.inside, field.step[axis]
+        both = inside[here] & inside[there]
+        index = np.full(inside.shape, -1)
+        index[inside] = np.arange(int(inside.sum()))
+        first, second = index[here][both], index[there][both]
+        normal = field.normal[:, inside]
+        one, other = normal[:, first], normal[:, second]
+        chord = one + other  # is perpendicular to the chord
+        if field.rays is None:
+            across = chord[0] if axis == 0 else -chord[1]
+            rise = -across / np.maximum(chord[2], 2 * MIN_FACING) * step
+            facing = np.stack((one[2], other[2]))
+        else:
+            rays = field.rays[:, inside]
+            near, far = rays[:, first], rays[:, second]
+            facing = -np.stack(((one * near).sum(0), (other * far).sum(0)))
+            before, behind = (np.maximum(-(chord * r).sum(0), 2 * MIN_FACING) for r in (near, far))
+            rise = np.log(behind / before)
+        scale = np.maximum(facing, MIN_FACING) / step
+        return _Pairs(first, second, rise, scale)
+
+    def trust(self, height: Floats, sharpness: float) -> Floats:
+        """How much both pixels believe that the surface goes on between them, (E,) in (0, 1/2]."""
+        rise = height[self.second] - height[self.first]
+        forward, backward = np.zeros_like(height), np.zeros_like(height)
+        forward[self.first] = (self.scale[0] * rise) ** 2
+        backward[self.second] = (self.scale[1] * rise) ** 2
+        steeper = np.clip(sharpness * (forward - backward), -50, 50)
+        ahead = 1 / (1 + np.exp(steeper))
+        return np.maximum(np.minimum(ahead[self.first], 1 - ahead[self.second]), LEAST_TRUST)
+
+
+def _integrate(field: _Field) -> Floats:
+    """Heights of the pixels inside, (P,): trust and heights take turns."""
+    count = int(field.inside.sum())
+    pairs = [_Pairs.of(field, axis) for axis in (0, 1)]
+    growth = np.geomspace(*SHARPNESS, STEPS - LAST_STEPS + 1).tolist()
+    sharpness = [*growth, *[SHARPNESS[1]] * (LAST_STEPS - 1)]
+    height, trust = np.zeros(count), [np.full(len(p.rise), 0.5) for p in pairs]
+    if count > LARGE:
+        coarse = field.halved()
+        canvas = np.zeros(coarse.inside.shape)
+        canvas[coarse.inside] = _integrate(coarse)
+        height = canvas.repeat(2, 0).repeat(2, 1)[: field.inside.shape[0], : field.inside.shape[1]][field.inside]
+        sharpness = sharpness[-LAST_STEPS:]
+        trust = [p.trust(height, sharpness[0]) for p in pairs]
+    for value in track(sharpness, "integrating", len(sharpness)):
+        height = _solve(pairs, trust, height)
+        trust = [p.trust(height, value) for p in pairs]
+    return height
+
+
+def _solve(pairs: Sequence[_Pairs], trust: Sequence[Floats], start: Floats) -> Floats:
+    """Weighted least squares over all pairs, by conjugate gradients with algebraic multigrid."""
+    import pyamg
+    import scipy.sparse
+    import scipy.sparse.linalg
+
+    count = len(start)
+    first, second = (np.concatenate([getattr(p, name) for p in pairs]) for name in ("first", "second"))
+    weight = np.concatenate([t * (p.scale**2).sum(0) for p, t in zip(pairs, trust, strict=True)])
+    flow = weight * np.concatenate([p.rise for p in pairs])
+    diagonal = np.bincount(first, weight, count) + np.bincount(second, weight, count)
+    # The ridge makes the free constant of every region harmless; the means are set later.
+    ridge = 1e-9 * max(float(diagonal.mean()), 1e-12)
+    own = np.arange(count)
+    system = scipy.sparse.csr_matrix(
+        (
+            np.concatenate((-weight, -weight, diagonal + ridge)),
+            (np.concatenate((first, second, own)), np.concatenate((second, first, own))),
+        ),
+        shape=(count, count),
+    )
+    target = np.bincount(second, flow, count) - np.bincount(first, flow, count)
+    if count <= 500:
+        return np.asarray(scipy.sparse.linalg.spsolve(system.tocsc(), target)).reshape(count)
+    preconditioner = pyamg.ruge_stuben_solver(system, max_coarse=50).aspreconditioner()
+    solution, _ = scipy.sparse.linalg.cg(system, target, x0=start, rtol=TOLERANCE, maxiter=100, M=preconditioner)
+    return np.asarray(solution)
+
+
+def _centre(height: Floats, inside: Bools) -> Floats:
+    """Heights (P,) on the grid (H, W), the mean of every connected region 0."""
+    import scipy.ndimage
+
+    canvas = np.zeros(inside.shape)
+    canvas[inside] = height
+    labels, regions = scipy.ndimage.label(inside)
+    means = np.asarray(scipy.ndimage.mean(canvas, labels, np.arange(1, regions + 1)))
+    canvas[inside] -= means[labels[inside] - 1]
+    return canvas
 
 
 def _check(normal: Tensor, mask: Tensor | None) -> Tensor:
@@ -78,52 +244,3 @@ def _check(normal: Tensor, mask: Tensor | None) -> Tensor:
     if not bool(normal[:, mask[0]].isfinite().all()):
         raise RangeError("normal", expected="finite values inside the mask", got="NaN or infinity", mend="shrink mask")
     return mask[0]
-
-
-def _solve(
-    right: np.ndarray[tuple[int, ...], np.dtype[np.float64]],
-    down: np.ndarray[tuple[int, ...], np.dtype[np.float64]],
-    facing: np.ndarray[tuple[int, ...], np.dtype[np.float64]],
-    inside: np.ndarray[tuple[int, ...], np.dtype[np.bool_]],
-) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
-    """Least squares over horizontal and vertical neighbours by conjugate gradients with algebraic multigrid."""
-    import pyamg
-    import scipy.ndimage
-    import scipy.sparse
-
-    count = int(inside.sum())
-    index = np.full(inside.shape, -1)
-    index[inside] = np.arange(count)
-    rows, columns, slopes, weights = [], [], [], []
-    for slope, here, there in (
-        (right, np.s_[:, :-1], np.s_[:, 1:]),
-        (down, np.s_[:-1], np.s_[1:]),
-    ):
-        both = inside[here] & inside[there]
-        rows.append(index[here][both])
-        columns.append(index[there][both])
-        slopes.append((slope[here][both] + slope[there][both]) / 2)
-        weights.append(np.minimum(facing[here][both], facing[there][both]) ** 2)
-    first, second = np.concatenate(rows), np.concatenate(columns)
-    slope, weight = np.concatenate(slopes), np.concatenate(weights)
-    pairs = np.arange(len(first))
-    ones = np.ones(len(first))
-    difference = scipy.sparse.csr_matrix(
-        (np.concatenate((ones, -ones)), (np.concatenate((pairs, pairs)), np.concatenate((second, first)))),
-        shape=(len(first), count),
-    )
-    weighted = difference.T @ scipy.sparse.diags(weight)
-    # The ridge makes the free constant of every region harmless to the solver; the means are set below.
-    system = (weighted @ difference + 1e-10 * scipy.sparse.identity(count)).tocsr()
-    solver = pyamg.ruge_stuben_solver(system) if count > 500 else None
-    target = weighted @ slope
-    if solver is None:
-        solution = scipy.sparse.linalg.spsolve(system.tocsc(), target).reshape(count)
-    else:
-        solution = solver.solve(target, tol=1e-8, accel="cg", maxiter=200)
-    result = np.zeros(inside.shape)
-    result[inside] = solution
-    labels, regions = scipy.ndimage.label(inside)
-    means = scipy.ndimage.mean(result, labels, np.arange(1, regions + 1))
-    result[inside] -= np.asarray(means)[labels[inside] - 1]
-    return result
