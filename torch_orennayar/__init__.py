@@ -29,6 +29,7 @@ from .reflectance import MODELS, Model, register_model, roughness_from_slope, sl
 from .render import NormalMap, render_normals
 from .shading import OrenNayar, brdf, directional_albedo, oren_nayar, point_light
 from .shadow import cast_shadows
+from .shape_from_shading import shape_from_shading
 from .silhouette import antialias, face_neighbours
 from .specular import blinn_phong, microfacet, phong
 from .stereo import photometric_stereo
@@ -76,6 +77,7 @@ __all__ = [
     "render_normals",
     "roughness_from_slope",
     "save_mesh",
+    "shape_from_shading",
     "simplest_model",
     "slope_from_roughness",
     "srgb_to_linear",

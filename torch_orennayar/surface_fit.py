@@ -1,0 +1,289 @@
+"""Fit a height field to one shaded picture: from coarse to fine, through the shading layer.
+
+Heights live at the corners of pixels, in pixels toward the viewer; in perspective they are -log(depth) over the angle
+of a pixel. So every pixel has a normal of its own from its four corners, and the surface is integrable.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from .progress import track
+from .shading import oren_nayar
+
+COARSEST = 24
+"""Levels are halved while the shorter side stays at least as long as this."""
+STEPS = 100
+"""Of L-BFGS per level."""
+SCALES, SCALE_GAIN = 6, 1.4
+"""The step is sought at several scales at once, the coarser the larger: what would take L-BFGS thousands of steps."""
+HISTORY = 10
+TWIST = 0.02
+"""Weight against the checkerboard of corners, which normals do not see."""
+CONTOUR, CONTOUR_COSINE = 4.0, 0.95
+"""Weight of the occluding contour, and the cosine to its outward direction from which a border pixel is free."""
+UNLIT = 1.0
+"""Weight that turns pixels which are bright in the picture into the light: shading itself has no slope there."""
+OUTLIER = 0.15
+"""Residuals above this share of the picture's brightest light count less and less: cast shadows, highlights."""
+KNOWN = 0.05
+"""Weight of a known height per squared pixel."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One picture and what is known of it, at one size.
+
+    Attributes:
+        image: (C, H, W); 0 outside the mask.
+        unit: the picture's bright end.
+        mask: (1, H, W) float.
+        light: (3, 1, 1) or (3, H, W) unit directions.
+        view: (3, 1, 1) or (3, H, W).
+        rays: (3, H + 1, W + 1) lines of sight through corners at depth 1, or None for parallel ones.
+        albedo: (1 or C, 1, 1) or maps; a logarithm that is sought when ``free_albedo``.
+        roughness: (1, 1, 1) or (1, H, W).
+        known: (1, H, W) heights, NaN where unknown.
+        pixel: angle of a pixel, or 1.
+    """
+
+    image: Tensor
+    unit: float
+    mask: Tensor
+    light: Tensor
+    view: Tensor
+    rays: Tensor | None
+    albedo: Tensor
+    roughness: Tensor
+    known: Tensor
+    pixel: float
+
+    def halved(self) -> Scene:
+        """Every four pixels as one; heights are halved with the pixels."""
+        share = _halve(self.mask)
+
+        def inside(values: Tensor) -> Tensor:
+            return values if values.shape[-1] == 1 else _halve(values * self.mask) / share.clamp_min(1e-6)
+
+        sure = self.known.isfinite()
+        count = _halve(sure.to(self.image))
+        known = torch.where(count > 0, _halve(self.known.nan_to_num(0)) / count.clamp_min(1e-6) / 2, torch.nan)
+        rays = None if self.rays is None else _resize(self.rays, (share.shape[1] + 1, share.shape[2] + 1))
+        return replace(
+            self,
+            image=inside(self.image),
+            mask=(share >= 0.5).to(self.image),
+            light=F.normalize(inside(self.light), dim=0),
+            view=F.normalize(inside(self.view), dim=0),
+            rays=rays,
+            albedo=inside(self.albedo),
+            roughness=inside(self.roughness),
+            known=known,
+            pixel=self.pixel * (1 if self.rays is None else 2),
+        )
+
+
+@dataclass
+class Surface:
+    """What is sought: heights of corners (1, H + 1, W + 1), logarithm of the albedo, roughness."""
+
+    height: Tensor
+    albedo: Tensor
+    roughness: Tensor
+
+
+@dataclass(frozen=True)
+class Wish:
+    """How to fit: the reflectance model, what is free, and the weights of the priors."""
+
+    model: str
+    contour: bool
+    smoothness: float
+    free_albedo: bool
+    free_roughness: bool
+
+
+def _halve(values: Tensor) -> Tensor:
+    return F.avg_pool2d(values, 2, ceil_mode=True, count_include_pad=False)
+
+
+def _resize(values: Tensor, size: tuple[int, int]) -> Tensor:
+    return F.interpolate(values[None], size=size, mode="bilinear", align_corners=True)[0]
+
+
+def normals(height: Tensor, rays: Tensor | None, pixel: float) -> Tensor:
+    """Unit normals of the pixels (3, H, W) from the heights of their corners (1, H + 1, W + 1)."""
+    if rays is None:
+        z = height[0]
+        right = (z[:-1, 1:] + z[1:, 1:] - z[:-1, :-1] - z[1:, :-1]) / 2
+        up = (z[:-1, :-1] + z[:-1, 1:] - z[1:, :-1] - z[1:, 1:]) / 2
+        facing = (1 + right * right + up * up).rsqrt()
+        return torch.stack((-right * facing, -up * facing, facing))
+    points = rays * torch.exp(-height * pixel) / pixel
+    falling = points[:, 1:, 1:] - points[:, :-1, :-1]
+    rising = points[:, :-1, 1:] - points[:, 1:, :-1]
+    return F.normalize(torch.linalg.cross(falling, rising, dim=0), dim=0)
+
+
+def inflate(mask: Tensor) -> Tensor:
+    """A pillow on a mask (1, H, W), corners' heights (1, H + 1, W + 1): a half ellipsoid on an ellipse."""
+    import pyamg
+    import scipy.sparse.linalg
+
+    padded = F.pad(mask, (1, 1, 1, 1))[0] > 0.5
+    inside = padded.cpu().numpy()
+    index = -torch.ones(padded.shape, dtype=torch.long)
+    index[padded.cpu()] = torch.arange(int(padded.sum()))
+    number, around = index.numpy(), pyamg.gallery.poisson(inside.shape, format="csr")
+    kept = inside.flatten().nonzero()[0]
+    system = around[kept][:, kept]
+    wanted = torch.full((len(kept),), 4.0, dtype=torch.float64).numpy()
+    if len(kept) > 5000:
+        solution = pyamg.ruge_stuben_solver(system.tocsr(), max_coarse=50).solve(wanted, tol=1e-4, accel="cg")
+    else:
+        solution = scipy.sparse.linalg.spsolve(system.tocsc(), wanted)
+    square = torch.zeros(inside.shape, dtype=torch.float64)
+    square[padded.cpu()] = torch.as_tensor(solution).reshape(-1)[number[inside]]
+    height = square.clamp_min(0).sqrt().to(mask)
+    return corners(height[None, 1:-1, 1:-1])
+
+
+def fit(scene: Scene, start: Surface, wish: Wish, show: str = "") -> tuple[Surface, float]:
+    """Coarse to fine; the surface and its cost per pixel."""
+    scenes = [scene]
+    while min(scenes[-1].mask.shape[1:]) >= 2 * COARSEST:
+        scenes.append(scenes[-1].halved())
+    height = _resize(start.height, _corners(scenes[-1])) * (scenes[-1].mask.shape[1] / scene.mask.shape[1])
+    surface = Surface(height, start.albedo, start.roughness)
+    cost = math.nan
+    levels = list(reversed(scenes))
+    for level in track(levels, show, len(levels)) if show else levels:
+        grown = surface.height.shape[1] - 1
+        height = _resize(surface.height, _corners(level)) * (level.mask.shape[1] / grown)
+        surface, cost = _fit_level(level, Surface(height, surface.albedo, surface.roughness), wish)
+    return surface, cost
+
+
+def _corners(scene: Scene) -> tuple[int, int]:
+    return scene.mask.shape[1] + 1, scene.mask.shape[2] + 1
+
+
+def shade(scene: Scene, surface: Surface, normal: Tensor, wish: Wish) -> Tensor:
+    """The picture of a surface, (C, H, W)."""
+    albedo = surface.albedo.exp() if wish.free_albedo else scene.albedo
+    roughness = surface.roughness if wish.free_roughness else scene.roughness
+    light, view = scene.light[None], scene.view[None]
+    return oren_nayar(normal[None], light, view, albedo[None], roughness[None], model=wish.model)[0]
+
+
+def _fit_level(scene: Scene, start: Surface, wish: Wish) -> tuple[Surface, float]:
+    """One size."""
+    with torch.enable_grad():
+        terms = _Terms.of(scene, wish)
+        shapes = [tuple(start.height.shape[1:])]
+        for _ in range(SCALES - 1):
+            shapes.append(((shapes[-1][0] + 1) // 2, (shapes[-1][1] + 1) // 2))
+        moves = [start.height.new_zeros(1, *shape).requires_grad_() for shape in shapes]
+        albedo = start.albedo.clone().requires_grad_(wish.free_albedo)
+        roughness = start.roughness.clone().requires_grad_(wish.free_roughness)
+
+        def now() -> Surface:
+            height = start.height
+            for k, move in enumerate(moves):
+                height = height + SCALE_GAIN**k * (move if k == 0 else _resize(move, (shapes[0][0], shapes[0][1])))
+            return Surface(height, albedo, roughness)
+
+        free = [*moves, *(p for p in (albedo, roughness) if p.requires_grad)]
+        optimiser = torch.optim.LBFGS(
+            free,
+            max_iter=STEPS,
+            history_size=HISTORY,
+            line_search_fn="strong_wolfe",
+            tolerance_change=1e-7,
+            tolerance_grad=1e-6,
+        )
+
+        def closure() -> Tensor:
+            optimiser.zero_grad()
+            cost = terms.cost(now())
+            cost.backward()
+            return cost
+
+        optimiser.step(closure)
+        with torch.no_grad():
+            found = now()
+            cost = float(terms.cost(found) / scene.mask.sum().clamp_min(1))
+    return Surface(found.height.detach(), found.albedo.detach(), found.roughness.detach().clamp(0, 1.2)), cost
+
+
+@dataclass(frozen=True)
+class _Terms:
+    """The cost of a surface."""
+
+    scene: Scene
+    wish: Wish
+    border: Tensor
+    outward: Tensor
+    across: Tensor
+    along: Tensor
+    bright: Tensor
+
+    @staticmethod
+    def of(scene: Scene, wish: Wish) -> _Terms:
+        mask = scene.mask
+        blurred = mask[None]
+        for radius in (3, 2):
+            blurred = F.avg_pool2d(F.pad(blurred, (radius,) * 4), 2 * radius + 1, 1)
+        blurred = F.pad(blurred[0], (1, 1, 1, 1))
+        falling = torch.cat(
+            (blurred[:, 1:-1, :-2] - blurred[:, 1:-1, 2:], blurred[:, 2:, 1:-1] - blurred[:, :-2, 1:-1])
+        )
+        inner = -F.max_pool2d(-F.pad(mask, (1, 1, 1, 1)), 3, 1)
+        border = mask * (inner < 1)
+        bright = (scene.image.mean(0, keepdim=True) > 0.05 * scene.unit).to(mask) * mask
+        return _Terms(
+            scene,
+            wish,
+            border * wish.contour,
+            F.normalize(falling, dim=0),
+            mask[:, :, 1:] * mask[:, :, :-1],
+            mask[:, 1:] * mask[:, :-1],
+            bright,
+        )
+
+    def cost(self, surface: Surface) -> Tensor:
+        """Sum over pixels: brightness missed, bends, contour, twist, pixels that should be lit, known heights."""
+        scene, mask = self.scene, self.scene.mask
+        normal = normals(surface.height, scene.rays, scene.pixel)
+        missed = (shade(scene, surface, normal, self.wish) - scene.image) / scene.unit
+        missed = missed.square().mean(0, keepdim=True) * mask
+        total = (missed / (1 + missed / OUTLIER**2)).sum()
+        bends = ((normal[:, :, 1:] - normal[:, :, :-1]).square() * self.across).sum()
+        bends = bends + ((normal[:, 1:] - normal[:, :-1]).square() * self.along).sum()
+        total = total + self.wish.smoothness * bends
+        z = surface.height
+        twist = (z[:, :-1, :-1] + z[:, 1:, 1:] - z[:, 1:, :-1] - z[:, :-1, 1:]) * normal[2:] * mask
+        total = total + TWIST * twist.square().sum()
+        outward = (normal[:2] * self.outward).sum(0, keepdim=True)
+        total = total + CONTOUR * ((CONTOUR_COSINE - outward).clamp_min(0).square() * self.border).sum()
+        away = -(normal * scene.light).sum(0, keepdim=True)
+        total = total + UNLIT * (away.clamp_min(0).square() * self.bright).sum()
+        sure = scene.known.isfinite()
+        if bool(sure.any()):
+            total = total + KNOWN * (centres(z) - scene.known.nan_to_num(0)).square().mul(sure).sum()
+        return total
+
+
+def corners(values: Tensor) -> Tensor:
+    """Means at the corners of pixels (1, H + 1, W + 1) of what pixels (1, H, W) have; 0 beyond the picture."""
+    return F.avg_pool2d(F.pad(values, (1, 1, 1, 1)), 2, 1)
+
+
+def centres(height: Tensor) -> Tensor:
+    """Heights of pixels (1, H, W) from those of their corners."""
+    return (height[:, :-1, :-1] + height[:, 1:, :-1] + height[:, :-1, 1:] + height[:, 1:, 1:]) / 4
