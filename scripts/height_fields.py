@@ -56,7 +56,7 @@ def _sphere_cap(x: Tensor, y: Tensor) -> Tensor:
 
 def _vase(x: Tensor, y: Tensor) -> Tensor:
     width = 0.5 + 0.18 * torch.sin(4.5 * y + 0.6)
-    inside = torch.where(y.abs() < 0.9, width * width - x * x, -1)
+    inside = width * width * (1 - (y / 0.95) ** 8) - x * x
     return inside.abs().sqrt() * inside.sign()
 
 
@@ -95,7 +95,7 @@ def light_at(degrees: float, azimuth: float = 40.0) -> Tensor:
 @functools.lru_cache(maxsize=64)
 def _theory_table(off_view: float, sigma: float, albedo: float) -> RectBivariateSpline:
     """Pi times the BRDF of the theory by slant of the normal and its azimuth from the light's, for one light."""
-    slant, turn = torch.linspace(0, 1.55, 24), torch.linspace(0, math.pi, 25)
+    slant, turn = torch.linspace(0, 1.56, 48), torch.linspace(0, math.pi, 49)
     s, t = torch.meshgrid(slant, turn, indexing="ij")
     ci = (s.sin() * t.cos() * math.sin(off_view) + s.cos() * math.cos(off_view)).clamp_min(2e-3).flatten()
     rho, lv = torch.full_like(ci, albedo), torch.full_like(ci, math.cos(off_view))
@@ -112,7 +112,7 @@ def photograph(
     if sigma:
         turn = (torch.atan2(normal[1], normal[0]) - torch.atan2(light[1], light[0]).double()).cos().acos()
         table = _theory_table(math.acos(min(1.0, float(light[2]))), sigma, albedo)
-        value = torch.from_numpy(table.ev(normal[2].acos().clamp_max(1.55).numpy(), turn.numpy())) * ci
+        value = torch.from_numpy(table.ev(normal[2].acos().clamp_max(1.56).numpy(), turn.numpy())) * ci
     else:
         value = albedo * ci
     image = torch.zeros(field.mask.shape, dtype=torch.float64)

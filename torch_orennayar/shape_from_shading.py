@@ -25,8 +25,6 @@ ALIKE = 1.25
 """Two surfaces whose costs differ by less than this factor explain the picture equally well."""
 START_ROUGHNESS = math.radians(25)
 """Where the search for an unknown roughness begins."""
-SHALLOW = 0.3
-"""How much of the inflated silhouette is taken to begin with where the mask is no contour."""
 DARK = 0.05
 """Share of the picture's bright end below which a pixel counts as shadow."""
 NOISE = 0.01
@@ -54,7 +52,8 @@ def shape_from_shading(
     coarse to fine by L-BFGS. Priors, all of them mild: neighbouring normals are alike (``smoothness``); with
     ``contour`` the mask's edge is where the surface turns away from the viewer, so normals point outward there;
     pixels whose brightness no surface explains (cast shadows, highlights) count less. It starts from the inflated
-    silhouette, else from ``depth``.
+    silhouette; without a contour from a plane, and then the mean normal is drawn to the view; from ``depth`` it starts
+    at full size.
 
     What one picture does not tell is reported, not hidden: a light near the view shows dents and bumps alike, albedo
     and roughness trade against slope and each other when they are estimated, and without a contour or known depths
@@ -93,7 +92,7 @@ def shape_from_shading(
     Example:
         >>> import torch, torch_orennayar as ton
         >>> y, x = torch.meshgrid(torch.linspace(1, -1, 48), torch.linspace(-1, 1, 48), indexing="ij")
-        >>> inside = (x * x + y * y < 0.8)[None]
+        >>> inside = (x * x + y * y < 1)[None]
         >>> normal = torch.stack((x, y, (1 - x * x - y * y).clamp_min(0.01).sqrt())) * inside  # a ball
         >>> light = torch.tensor([0.48, 0.0, 0.877])
         >>> image = ton.oren_nayar(normal[None], light.reshape(1, 3, 1, 1), ton.Camera.orthographic().view_directions(
@@ -115,12 +114,12 @@ def shape_from_shading(
     scene = _scene(image, light, inside, albedo, roughness, known, camera)
     start = Surface(
         _start(scene, depth, camera, contour),
-        scene.albedo.mean().clamp_min(1e-4).log().reshape(1, 1, 1),
-        scene.roughness.mean().reshape(1, 1, 1),
+        _logit(scene.albedo.mean() / (surface_fit.WHITEST * scene.unit)),
+        _logit(scene.roughness.mean() / surface_fit.ROUGHEST),
     )
-    start, report = _choose_side(scene, start, wish, sure=depth is not None)
+    start, report = _choose_side(scene, start, wish, sure=depth is not None or not contour)
     report = [*_say_light(scene), *report]
-    found, _ = surface_fit.fit(scene, start, wish, show="shape from shading")
+    found, _ = surface_fit.fit(scene, start, wish, coarse=depth is None, show="shape from shading")
     return _result(scene, found, wish, inside, camera, report)
 
 
@@ -169,6 +168,10 @@ def _scene(
     )
 
 
+def _logit(share: Tensor) -> Tensor:
+    return share.clamp(0.01, 0.99).logit().reshape(1, 1, 1)
+
+
 def _corner_rays(camera: Camera, size: tuple[int, int]) -> Tensor:
     """Lines of sight through the corners of pixels, (3, H + 1, W + 1); they are linear in row and column."""
     few = camera.rays(size)[0] if min(size) > 1 else camera.rays((size[0] + 1, size[1] + 1))[0]
@@ -196,7 +199,8 @@ def _to_depth(height: Tensor, camera: Camera | None, size: tuple[int, int]) -> T
 def _start(scene: Scene, depth: Tensor | None, camera: Camera | None, contour: bool) -> Tensor:
     """Heights of corners to begin with."""
     if depth is None:
-        return surface_fit.inflate(scene.mask) * (1.0 if contour else SHALLOW)
+        pillow = surface_fit.inflate(scene.mask)
+        return pillow if contour else 0 * pillow
     height = _to_height(depth.to(scene.image), camera, (scene.mask.shape[1], scene.mask.shape[2]))
     height = torch.where(scene.mask > 0, height, 0)
     share = surface_fit.corners(scene.mask).clamp_min(1e-6)
@@ -253,14 +257,12 @@ def _result(
     height = surface_fit.centres(found.height)
     if not bool(scene.known.isfinite().any()):
         height = height - height[inside].mean()
-    albedo, roughness = scene.albedo, scene.roughness
+    albedo, roughness = surface_fit.reflectance(scene, found, wish)
     if wish.free_albedo:
-        albedo = found.albedo.exp()
         report.append(
             f"albedo {albedo.item():.3f}, estimated: a darker surface that leans more to the light looks much the same."
         )
     if wish.free_roughness:
-        roughness = found.roughness
         report.append(
             f"roughness {math.degrees(roughness.item()):.0f} degrees, estimated from one picture: take it as a guess."
         )

@@ -26,11 +26,15 @@ HISTORY = 10
 TWIST = 0.02
 """Weight against the checkerboard of corners, which normals do not see."""
 CONTOUR, CONTOUR_COSINE = 4.0, 0.95
-"""Weight of the occluding contour, and the cosine to its outward direction from which a border pixel is free."""
+"""Weight of the occluding contour, and the cosine to the outward direction from which a border pixel is free."""
+LEVEL = 0.02
+"""Weight against a slant of the whole surface where no contour tells it."""
 UNLIT = 1.0
 """Weight that turns pixels which are bright in the picture into the light: shading itself has no slope there."""
 OUTLIER = 0.15
 """Residuals above this share of the picture's brightest light count less and less: cast shadows, highlights."""
+ROUGHEST, WHITEST = 1.1, 4.0
+"""Where an unknown roughness ends, radians, and an unknown albedo, times the picture's bright end."""
 KNOWN = 0.05
 """Weight of a known height per squared pixel."""
 
@@ -46,7 +50,7 @@ class Scene:
         light: (3, 1, 1) or (3, H, W) unit directions.
         view: (3, 1, 1) or (3, H, W).
         rays: (3, H + 1, W + 1) lines of sight through corners at depth 1, or None for parallel ones.
-        albedo: (1 or C, 1, 1) or maps; a logarithm that is sought when ``free_albedo``.
+        albedo: (1 or C, 1, 1) or maps.
         roughness: (1, 1, 1) or (1, H, W).
         known: (1, H, W) heights, NaN where unknown.
         pixel: angle of a pixel, or 1.
@@ -90,7 +94,13 @@ class Scene:
 
 @dataclass
 class Surface:
-    """What is sought: heights of corners (1, H + 1, W + 1), logarithm of the albedo, roughness."""
+    """What is sought.
+
+    Attributes:
+        height: (1, H + 1, W + 1) of the corners.
+        albedo: (1, 1, 1), the logit of its share of `WHITEST`, where it is free.
+        roughness: (1, 1, 1), the logit of its share of `ROUGHEST`, where it is free.
+    """
 
     height: Tensor
     albedo: Tensor
@@ -153,13 +163,12 @@ def inflate(mask: Tensor) -> Tensor:
     return corners(height[None, 1:-1, 1:-1])
 
 
-def fit(scene: Scene, start: Surface, wish: Wish, show: str = "") -> tuple[Surface, float]:
-    """Coarse to fine; the surface and its cost per pixel."""
+def fit(scene: Scene, start: Surface, wish: Wish, *, coarse: bool = True, show: str = "") -> tuple[Surface, float]:
+    """From coarse to fine, or at full size alone; the surface and its cost per pixel."""
     scenes = [scene]
-    while min(scenes[-1].mask.shape[1:]) >= 2 * COARSEST:
+    while coarse and min(scenes[-1].mask.shape[1:]) >= 2 * COARSEST:
         scenes.append(scenes[-1].halved())
-    height = _resize(start.height, _corners(scenes[-1])) * (scenes[-1].mask.shape[1] / scene.mask.shape[1])
-    surface = Surface(height, start.albedo, start.roughness)
+    surface = start
     cost = math.nan
     levels = list(reversed(scenes))
     for level in track(levels, show, len(levels)) if show else levels:
@@ -173,10 +182,16 @@ def _corners(scene: Scene) -> tuple[int, int]:
     return scene.mask.shape[1] + 1, scene.mask.shape[2] + 1
 
 
+def reflectance(scene: Scene, surface: Surface, wish: Wish) -> tuple[Tensor, Tensor]:
+    """Albedo and roughness, given or found."""
+    albedo = WHITEST * scene.unit * surface.albedo.sigmoid() if wish.free_albedo else scene.albedo
+    roughness = ROUGHEST * surface.roughness.sigmoid() if wish.free_roughness else scene.roughness
+    return albedo, roughness
+
+
 def shade(scene: Scene, surface: Surface, normal: Tensor, wish: Wish) -> Tensor:
     """The picture of a surface, (C, H, W)."""
-    albedo = surface.albedo.exp() if wish.free_albedo else scene.albedo
-    roughness = surface.roughness if wish.free_roughness else scene.roughness
+    albedo, roughness = reflectance(scene, surface, wish)
     light, view = scene.light[None], scene.view[None]
     return oren_nayar(normal[None], light, view, albedo[None], roughness[None], model=wish.model)[0]
 
@@ -218,7 +233,7 @@ def _fit_level(scene: Scene, start: Surface, wish: Wish) -> tuple[Surface, float
         with torch.no_grad():
             found = now()
             cost = float(terms.cost(found) / scene.mask.sum().clamp_min(1))
-    return Surface(found.height.detach(), found.albedo.detach(), found.roughness.detach().clamp(0, 1.2)), cost
+    return Surface(found.height.detach(), found.albedo.detach(), found.roughness.detach()), cost
 
 
 @dataclass(frozen=True)
@@ -243,6 +258,8 @@ class _Terms:
         falling = torch.cat(
             (blurred[:, 1:-1, :-2] - blurred[:, 1:-1, 2:], blurred[:, 2:, 1:-1] - blurred[:, :-2, 1:-1])
         )
+        outward = F.pad(F.normalize(falling, dim=0), (0, 0, 0, 0, 0, 1))
+        outward = F.normalize(outward - (outward * scene.view).sum(0, keepdim=True) * scene.view, dim=0)
         inner = -F.max_pool2d(-F.pad(mask, (1, 1, 1, 1)), 3, 1)
         border = mask * (inner < 1)
         bright = (scene.image.mean(0, keepdim=True) > 0.05 * scene.unit).to(mask) * mask
@@ -250,7 +267,7 @@ class _Terms:
             scene,
             wish,
             border * wish.contour,
-            F.normalize(falling, dim=0),
+            outward,
             mask[:, :, 1:] * mask[:, :, :-1],
             mask[:, 1:] * mask[:, :-1],
             bright,
@@ -269,8 +286,11 @@ class _Terms:
         z = surface.height
         twist = (z[:, :-1, :-1] + z[:, 1:, 1:] - z[:, 1:, :-1] - z[:, :-1, 1:]) * normal[2:] * mask
         total = total + TWIST * twist.square().sum()
-        outward = (normal[:2] * self.outward).sum(0, keepdim=True)
+        outward = (normal * self.outward).sum(0, keepdim=True)
         total = total + CONTOUR * ((CONTOUR_COSINE - outward).clamp_min(0).square() * self.border).sum()
+        if not self.wish.contour:
+            slant = (normal[:2] * mask).flatten(1).sum(1) / mask.sum().clamp_min(1)
+            total = total + LEVEL * slant.square().sum() * mask.sum()
         away = -(normal * scene.light).sum(0, keepdim=True)
         total = total + UNLIT * (away.clamp_min(0).square() * self.bright).sum()
         sure = scene.known.isfinite()

@@ -1,0 +1,238 @@
+"""Accuracy and speed of `shape_from_shading`.
+
+    python scripts/evaluate_shape_from_shading.py [--data FOLDER] [--output out/shape] [--quick]
+
+Made pictures: five surfaces (`height_fields.py`), shaded by the theory, not by the models that are fitted, with 1 %
+noise. Real ones, where FOLDER (default: $TORCH_ORENNAYAR_DATA) holds them: single pictures of DiLiGenT's objects, UW's
+grey ball, MIT-Berkeley objects, each under lights that are known or, for MIT-Berkeley, estimated from the truth.
+Beside every result stand a plane, the inflated silhouette, Lambert's and the classic form by the same solver. Prints
+tables, writes shape.json, a speed-accuracy chart and a map of failures (light x roughness).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import height_fields
+import numpy as np
+import scipy.io
+import torch
+import torch.nn.functional as F
+from height_fields import light_at, photograph
+from torch import Tensor
+
+from torch_orennayar import angular_error, depth_to_normals, load_capture, shape_from_shading, surface_fit
+from torch_orennayar.images import read_image
+from torch_orennayar.progress import track
+
+METHODS = ("plane", "inflated", "lambert", "classic", "vcavity")
+ALBEDO = 0.8
+
+
+@dataclass(frozen=True)
+class Case:
+    """A picture with true normals; roughness is what the models with one are told."""
+
+    name: str
+    image: Tensor
+    light: Tensor
+    mask: Tensor
+    normal: Tensor
+    roughness: float
+    albedo: float | None
+    contour: bool = True
+
+
+def solve(case: Case, method: str) -> Tensor:
+    """Normals (3, H, W) by one method."""
+    mask = case.mask.float()
+    if method == "plane":
+        return torch.tensor((0.0, 0.0, 1.0)).reshape(3, 1, 1) * mask
+    if method == "inflated":
+        return surface_fit.normals(surface_fit.inflate(mask), None, 1.0) * mask
+    model = {"lambert": "lambert", "classic": "qualitative"}.get(method, method)
+    found = shape_from_shading(
+        case.image, case.light, case.mask, albedo=case.albedo, roughness=case.roughness, model=model,
+        contour=case.contour,
+    )  # fmt: skip
+    return found.normal
+
+
+def measure(case: Case) -> dict[str, dict[str, float]]:
+    """Median and mean error and seconds by method."""
+    rows = {}
+    for method in METHODS:
+        begun = time.perf_counter()
+        found = solve(case, method)
+        seconds = time.perf_counter() - begun
+        error = angular_error(found, case.normal.float(), case.mask).summary()
+        rows[method] = {"median": error["median"], "mean": error["mean"], "seconds": seconds}
+    return rows
+
+
+def made(size: int, quick: bool) -> list[Case]:
+    """Every surface at several roughnesses; light 30 degrees off."""
+    light = light_at(30)
+    cases = []
+    for name in height_fields.SURFACES:
+        field = height_fields.make(name, size)
+        for degrees in (30,) if quick else (0, 15, 30, 45):
+            sigma = math.radians(degrees)
+            image = photograph(field, light, sigma, albedo=ALBEDO)
+            title = f"{name}, {degrees} degrees"
+            cases.append(Case(title, image, light, field.mask, field.normal, sigma, ALBEDO, field.contour))
+    return cases
+
+
+def real(data: Path) -> list[Case]:
+    """Single photographs; albedo is estimated, roughness 0 except for the grey ball, whose paint is taken as 20."""
+    cases = []
+    for name in ("ball", "cat", "reading"):
+        capture = load_capture(data / "diligent" / f"{name}PNG")
+        if capture.normal is None:
+            continue
+        off = torch.rad2deg(capture.lights[:, 2].acos())
+        index = int((off - 30).abs().argmin())
+        image = capture.images[index].mean(0, keepdim=True)
+        cases.append(Case(f"DiLiGenT {name}", image, capture.lights[index], capture.mask, capture.normal, 0.0, None))
+    capture = load_capture(data / "uw_psm" / "gray", encoding="linear", lights=data / "uw_psm" / "light_directions.txt")
+    row, column = torch.meshgrid(*[torch.arange(n).float() for n in capture.mask.shape[1:]], indexing="ij")
+    x, y = (column - 244.5) / 108, -(row - 144.5) / 108
+    inside = (x * x + y * y < 1)[None]
+    normal = torch.stack((x, y, (1 - x * x - y * y).clamp_min(0).sqrt())) * inside
+    index = int((torch.rad2deg(capture.lights[:, 2].acos()) - 30).abs().argmin())
+    image = capture.images[index].mean(0, keepdim=True)
+    cases.append(Case("UW grey ball", image, capture.lights[index], inside, normal, math.radians(20), None))
+    folders = [folder for folder in sorted((data / "sfs_mit_berkeley").iterdir()) if folder.is_dir()]
+    return cases + [mit(folder) for folder in folders]
+
+
+def mit(folder: Path) -> Case:
+    """One MIT-Berkeley object: the light that explains its first picture of even albedo best as a Lambertian one."""
+    depth = torch.from_numpy(scipy.io.loadmat(folder / "Z.mat")["depth"]).double()[None]
+    mask = torch.from_numpy(read_image(folder / "mask.png") > 0)
+    mask = (mask if mask.ndim == 2 else mask[..., 0])[None] & depth.isfinite()
+    normal = depth_to_normals(depth, mask=mask)
+    mask &= (normal != 0).any(0, keepdim=True)
+    pixels = read_image(folder / "shading.png").astype(np.float64)
+    image = torch.from_numpy(pixels / pixels.max()).reshape(*mask.shape[1:], -1).mean(-1)[None].float()
+    light = torch.linalg.lstsq(normal[:, mask[0]].T, image[mask].double()).solution
+    return Case(f"MIT-Berkeley {folder.name}", image, F.normalize(light, dim=0).float(), mask, normal, 0.0, None)
+
+
+def failures(size: int, quick: bool) -> dict[str, dict[str, float]]:
+    """Median error of `vcavity` by slant of the light and roughness, with and without the contour."""
+    field = height_fields.make("bumpy ellipsoid", size)
+    slants, angles = ((0, 30, 60), (0, 30)) if quick else ((0, 15, 30, 45, 60), (0, 15, 30, 45))
+    cells: dict[str, dict[str, float]] = {"contour": {}, "no contour": {}}
+    grid = [(c, s, a) for c in cells for s in slants for a in angles]
+    for kind, slant, degrees in track(grid, "failure map", len(grid)):
+        image = photograph(field, light_at(slant), math.radians(degrees), albedo=ALBEDO)
+        case = Case("", image, light_at(slant), field.mask, field.normal, math.radians(degrees), ALBEDO)
+        case = case if kind == "contour" else Case(**{**case.__dict__, "contour": False})
+        found = angular_error(solve(case, "vcavity"), field.normal.float(), field.mask).summary()
+        cells[kind][f"light {slant}, roughness {degrees}"] = found["median"]
+    return cells
+
+
+def show(results: dict[str, dict[str, dict[str, float]]]) -> None:
+    """Median / mean error by case and method, and means over cases."""
+    print(f"{'median / mean error, degrees':34}" + "".join(f"{m:>15}" for m in METHODS))
+    for name, rows in results.items():
+        print(f"{name:34}" + "".join(f"{rows[m]['median']:8.2f}/{rows[m]['mean']:6.2f}" for m in METHODS))
+    means = {
+        m: [float(np.mean([r[m][k] for r in results.values()])) for k in ("median", "mean", "seconds")] for m in METHODS
+    }
+    print(f"{'mean':34}" + "".join(f"{means[m][0]:8.2f}/{means[m][1]:6.2f}" for m in METHODS))
+    print(f"{'seconds':34}" + "".join(f"{means[m][2]:15.2f}" for m in METHODS))
+
+
+def draw(folder: Path, document: dict[str, Any]) -> None:
+    """The speed-accuracy chart and the map of failures."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7, 4.2), layout="constrained")
+    axis = figure.subplots()
+    for steps, row in document["by steps"].items():
+        axis.plot(row["seconds"], row["median"], "o", color="#1f77b4")
+        axis.annotate(f"{steps} steps", (row["seconds"], row["median"]), (5, 4), textcoords="offset points", fontsize=8)
+    for method in METHODS[1:4]:
+        rows = [r[method] for r in document["made"].values()]
+        x, y = (float(np.mean([r[k] for r in rows])) for k in ("seconds", "median"))
+        axis.plot(x, y, "s", color="#888")
+        axis.annotate(method, (x, y), (5, 4), textcoords="offset points", fontsize=8)
+    axis.set(xscale="log", yscale="log", xlabel="seconds", ylabel="median error, degrees")
+    axis.set_title("vcavity by L-BFGS steps per level, and the others", fontsize=10)
+    axis.spines[["top", "right"]].set_visible(False)
+    figure.savefig(folder / "speed_accuracy.png", dpi=130)
+
+    figure = Figure(figsize=(9, 3.4), layout="constrained")
+    for axis, (kind, cells) in zip(figure.subplots(1, 2), document["failures"].items(), strict=True):
+        slants = sorted({int(k.split()[1].rstrip(",")) for k in cells})
+        angles = sorted({int(k.split()[3]) for k in cells})
+        values = np.array([[cells[f"light {s}, roughness {a}"] for a in angles] for s in slants])
+        axis.imshow(values, cmap="viridis", vmin=0, vmax=20, aspect="auto")
+        for i, j in np.ndindex(values.shape):
+            axis.text(j, i, f"{values[i, j]:.1f}", ha="center", va="center", color="w" if values[i, j] < 12 else "k")
+        axis.set_xticks(range(len(angles)), [f"{a}°" for a in angles])
+        axis.set_yticks(range(len(slants)), [f"{s}°" for s in slants])
+        axis.set(xlabel="roughness", ylabel="light off the view", title=f"median error, {kind}")
+    figure.savefig(folder / "failures.png", dpi=130)
+
+
+def by_steps(size: int) -> dict[int, dict[str, float]]:
+    """Error and seconds of `vcavity` against steps per level."""
+    field, light = height_fields.make("bumpy ellipsoid", size), light_at(30)
+    case = Case("", photograph(field, light, 0.5236), light, field.mask, field.normal, 0.5236, ALBEDO)
+    curve, kept = {}, surface_fit.STEPS
+    for steps in (10, 20, 40, 100, 250):
+        surface_fit.STEPS = steps
+        curve[steps] = measure(case)["vcavity"]
+    surface_fit.STEPS = kept
+    return curve
+
+
+def main() -> None:
+    """Measure, print, draw."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--data", type=Path, default=Path(os.environ.get("TORCH_ORENNAYAR_DATA", "none")))
+    parser.add_argument("--output", type=Path, default=Path("out/shape"))
+    parser.add_argument("--quick", action="store_true")
+    options = parser.parse_args()
+    options.output.mkdir(parents=True, exist_ok=True)
+    size = 128 if options.quick else 256
+    document: dict[str, Any] = {}
+    for title, cases in (
+        ("made", made(size, options.quick)),
+        ("real", real(options.data) if (options.data / "diligent").is_dir() else []),
+    ):
+        if cases:
+            print(title)
+            document[title] = {c.name: measure(c) for c in track(cases, title, len(cases))}
+            show(document[title])
+    document["by steps"] = by_steps(size)
+    listed = "; ".join(f"{k}: {v['median']:.2f} in {v['seconds']:.1f} s" for k, v in document["by steps"].items())
+    print(f"vcavity, median error by steps per level: {listed}")
+    document["failures"] = failures(128, options.quick)
+    for kind, cells in document["failures"].items():
+        print(f"median error, {kind}: " + "; ".join(f"{k}: {v:.1f}" for k, v in cells.items()))
+    if not options.quick:
+        field, light = height_fields.make("bumpy ellipsoid", 1024), light_at(30)
+        case = Case("", photograph(field, light, 0.5236), light, field.mask, field.normal, 0.5236, ALBEDO)
+        begun = time.perf_counter()
+        found = angular_error(solve(case, "vcavity"), field.normal.float(), field.mask).summary()
+        document["1024"] = {"seconds": time.perf_counter() - begun, "median": found["median"]}
+        print(f"1024 x 1024: {document['1024']['seconds']:.1f} s, median {found['median']:.2f} degrees")
+    (options.output / "shape.json").write_text(json.dumps(document, indent=2) + "\n")
+    draw(options.output, document)
+
+
+if __name__ == "__main__":
+    main()

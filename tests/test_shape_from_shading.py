@@ -1,0 +1,219 @@
+"""Shape from shading, judged on surfaces with exact normals whose pictures the theory makes, not the model fitted."""
+
+from __future__ import annotations
+
+import math
+
+import height_fields
+import pytest
+import torch
+import torch.nn.functional as F
+from height_fields import Field, light_at, photograph
+from torch import Tensor
+
+from torch_orennayar import (
+    MODELS,
+    Camera,
+    CaptureError,
+    OrenNayar,
+    RangeError,
+    Reconstruction,
+    ShapeError,
+    angular_error,
+    depth_to_normals,
+    point_light,
+    shape_from_shading,
+)
+
+SIZE = 160
+LIGHT = light_at(30)
+
+
+def errors(found: Reconstruction, field: Field) -> dict[str, float]:
+    return angular_error(found.normal, field.normal.float(), field.mask).summary()
+
+
+@pytest.fixture(scope="module")
+def bumpy() -> Field:
+    return height_fields.make("bumpy ellipsoid", SIZE)
+
+
+def test_pictures_are_the_theorys(bumpy: Field) -> None:
+    """The table that makes them against the quadrature itself."""
+    image = photograph(bumpy, LIGHT, math.radians(40), noise=0)
+    place = (bumpy.mask[0] & (image[0] > 0.02)).nonzero()[::97]
+    normal = bumpy.normal[:, place[:, 0], place[:, 1]].float()
+    ci = LIGHT @ normal
+    args = (ci, normal[2], torch.full_like(ci, LIGHT[2].item()), torch.full_like(ci, 0.8), torch.full_like(ci, 0.6981))
+    wanted = MODELS["theory"].function(*args) * ci
+    assert (image[0, place[:, 0], place[:, 1]] - wanted).abs().max() < 0.004
+
+
+@pytest.mark.parametrize("degrees", [30, 45])
+def test_rough_surfaces_need_a_rough_model(bumpy: Field, degrees: int) -> None:
+    """The bars: median 2 degrees, mean 4, a third of what Lambert gives; the classic form is worse than Lambert."""
+    sigma = math.radians(degrees)
+    image = photograph(bumpy, LIGHT, sigma)
+    found = errors(shape_from_shading(image, LIGHT, bumpy.mask, albedo=0.8, roughness=sigma), bumpy)
+    lambert = errors(shape_from_shading(image, LIGHT, bumpy.mask, albedo=0.8, model="lambert"), bumpy)
+    classic = errors(
+        shape_from_shading(image, LIGHT, bumpy.mask, albedo=0.8, roughness=sigma, model="qualitative"), bumpy
+    )
+    assert found["median"] <= 2.0
+    assert found["mean"] <= 4.0
+    assert found["median"] <= lambert["median"] / 3
+    assert classic["median"] > lambert["median"]
+
+
+def test_smooth_surfaces_are_no_worse_than_by_lambert(bumpy: Field) -> None:
+    image = photograph(bumpy, LIGHT, 0.0)
+    found = errors(shape_from_shading(image, LIGHT, bumpy.mask, albedo=0.8, roughness=0.0), bumpy)
+    lambert = errors(shape_from_shading(image, LIGHT, bumpy.mask, albedo=0.8, model="lambert"), bumpy)
+    assert found["median"] <= lambert["median"] * 1.02
+    assert found["median"] <= 2.0
+
+
+def test_depth_belongs_to_the_normals(bumpy: Field) -> None:
+    image = photograph(bumpy, LIGHT, 0.5)
+    found = shape_from_shading(image, LIGHT, bumpy.mask, albedo=0.8, roughness=0.5)
+    assert found.depth is not None
+    inner = -F.max_pool2d(-bumpy.mask.float(), 9, 1, 4) > 0
+    again = depth_to_normals(found.depth, mask=bumpy.mask)
+    assert angular_error(again, found.normal, inner).summary()["median"] < 1.5
+    difference = (found.depth - bumpy.height)[inner]
+    assert (difference - difference.mean()).abs().mean() < 0.03 * SIZE
+
+
+def test_result_is_the_same_again_and_in_a_batch(bumpy: Field) -> None:
+    image = photograph(bumpy, LIGHT, 0.5)
+    alone = shape_from_shading(image, LIGHT, bumpy.mask, albedo=0.8, roughness=0.5)
+    both = shape_from_shading(
+        torch.stack((image, image)), LIGHT.expand(2, 3), bumpy.mask.expand(2, 1, -1, -1), albedo=0.8, roughness=0.5
+    )
+    assert both.depth is not None
+    assert alone.depth is not None
+    for index in range(2):
+        assert torch.equal(both.normal[index], alone.normal)
+        assert torch.equal(both.depth[index], alone.depth)
+
+
+def test_frontal_light_is_reported(bumpy: Field) -> None:
+    frontal = torch.tensor((0.0, 0.0, 1.0))
+    image = photograph(bumpy, frontal, 0.5)
+    with pytest.warns(UserWarning, match="dents and bumps look alike"):
+        found = shape_from_shading(image, frontal, bumpy.mask, albedo=0.8, roughness=0.5)
+    assert errors(found, bumpy)["median"] < 10  # the silhouette says which way
+
+
+def test_without_contour(bumpy: Field) -> None:
+    """A part of a surface: reported, near the truth, nearer with a few known heights."""
+    sheet = height_fields.make("wavy sheet", SIZE)
+    image = photograph(sheet, LIGHT, 0.5)
+    found = shape_from_shading(image, LIGHT, sheet.mask, albedo=0.8, roughness=0.5, contour=False)
+    assert any("no occluding contour" in line for line in found.report)
+    known = torch.full_like(image, torch.nan)
+    known[:, 8::28, 8::28] = sheet.height[:, 8::28, 8::28].float()
+    told = shape_from_shading(image, LIGHT, sheet.mask, albedo=0.8, roughness=0.5, contour=False, known=known)
+    assert told.depth is not None
+    assert errors(told, sheet)["mean"] <= errors(found, sheet)["mean"] + 0.1
+    assert (told.depth - sheet.height).abs().mean() < 0.5  # pixels; known heights set the level
+
+
+def test_start_from_a_depth(bumpy: Field) -> None:
+    image = photograph(bumpy, LIGHT, 0.5)
+    start = bumpy.height.float() * 0.8
+    found = shape_from_shading(image, LIGHT, bumpy.mask, albedo=0.8, roughness=0.5, depth=start)
+    assert errors(found, bumpy)["median"] < 2.5
+
+
+def test_albedo_and_roughness_are_estimated_and_called_guesses(bumpy: Field) -> None:
+    image = photograph(bumpy, LIGHT, math.radians(30))
+    found = shape_from_shading(image, LIGHT, bumpy.mask, albedo=None, roughness=None)
+    said = " ".join(found.report)
+    assert "take it as a guess" in said
+    assert "not told by one picture" in said
+    assert math.isinf(found.roughness_error if isinstance(found.roughness_error, float) else 0.0)
+    assert abs(found.albedo.max().item() - 0.8) < 0.15
+    assert errors(found, bumpy)["median"] < 8
+
+
+def test_shadow_is_counted_and_bridged(bumpy: Field) -> None:
+    """A cast shadow over a third of the object, which no reflectance explains."""
+    image = photograph(bumpy, LIGHT, 0.5)
+    image[:, :, SIZE // 2 : SIZE // 2 + 12] = 0
+    found = shape_from_shading(image, LIGHT, bumpy.mask, albedo=0.8, roughness=0.5)
+    assert any("in shadow" in line for line in found.report)
+    assert found.normal.isfinite().all()
+    away = bumpy.mask.clone()
+    away[:, :, SIZE // 2 - 6 : SIZE // 2 + 18] = False
+    assert angular_error(found.normal, bumpy.normal.float(), away).summary()["median"] < 6
+    shadow = bumpy.mask & ~away
+    assert found.confidence[shadow].mean() < found.confidence[away].mean()
+
+
+def test_albedo_map(bumpy: Field) -> None:
+    """Half of the object is darker: with the map as good as without, with one number it is read as slope."""
+    albedo = torch.full_like(bumpy.mask.float(), 0.8)
+    albedo[:, :, : SIZE // 2] = 0.4
+    image = OrenNayar("vcavity")(bumpy.normal[None].float(), LIGHT[None], albedo=albedo[None], roughness=0.5)[0]
+    told = shape_from_shading(image, LIGHT, bumpy.mask, albedo=albedo, roughness=0.5)
+    untold = shape_from_shading(image, LIGHT, bumpy.mask, albedo=0.8, roughness=0.5)
+    assert errors(told, bumpy)["median"] < 3
+    assert errors(told, bumpy)["median"] < 0.4 * errors(untold, bumpy)["median"]
+
+
+def ball(camera: Camera) -> tuple[Field, Tensor]:
+    """A unit ball 4 away, and its depth."""
+    ray = camera.rays((SIZE, SIZE))[0].double()
+    a, b = ray.square().sum(0), -4 * ray[2]
+    root = b * b - a * 15
+    mask = root > 0
+    depth = torch.where(mask, (b - root.clamp_min(0).sqrt()) / a, 0)
+    normal = torch.where(mask, ray * depth + torch.tensor([0.0, 0.0, 4.0]).double().reshape(3, 1, 1), 0)
+    return Field("ball", depth[None], F.normalize(normal, dim=0), mask[None], True), depth[None]
+
+
+def test_perspective_and_a_near_light() -> None:
+    camera = Camera.perspective(math.radians(32))
+    field, depth = ball(camera)
+    points = camera.points(depth[None]).float()
+    position = torch.tensor((1.5, 1.0, -1.0)).reshape(1, 3, 1, 1)
+    light, irradiance = point_light(points, position, 9.0)
+    view = camera.view_directions((SIZE, SIZE))
+    image = OrenNayar("vcavity")(field.normal[None].float(), light, view, albedo=0.8, roughness=0.5)[0]
+    assert irradiance.shape == (1, 1, SIZE, SIZE)  # divided out by the user
+    found = shape_from_shading(image, light[0], field.mask, albedo=0.8, roughness=0.5, camera=camera)
+    assert errors(found, field)["median"] < 2.5
+    assert found.depth is not None
+    ratio = (found.depth / depth)[field.mask]
+    assert (ratio / ratio.mean() - 1).abs().mean() < 0.02
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 7), (5, 1), (3, 4)])
+def test_tiny_images(size: tuple[int, int]) -> None:
+    found = shape_from_shading(torch.full((1, *size), 0.4), LIGHT)
+    assert found.normal.shape == (3, *size)
+    assert found.depth is not None
+    assert found.depth.isfinite().all()
+    assert found.normal.isfinite().all()
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "words"),
+    [
+        ({"image": torch.rand(4, 4)}, ShapeError, "image"),
+        ({"light": torch.rand(2)}, ShapeError, "light"),
+        ({"light": torch.tensor((0.0, 0.0, 3.0))}, RangeError, "unit"),
+        ({"light": torch.tensor((0.0, 0.6, -0.8))}, RangeError, "swap_opencv_frame"),
+        ({"image": torch.full((1, 4, 4), torch.nan)}, RangeError, "image"),
+        ({"image": torch.zeros(1, 4, 4)}, CaptureError, "exposure"),
+        ({"mask": torch.zeros(1, 4, 4, dtype=torch.bool)}, CaptureError, "mask"),
+        ({"mask": torch.ones(1, 4, 4)}, ShapeError, "mask"),
+        ({"roughness": 30.0}, RangeError, "roughness"),
+        ({"depth": torch.full((1, 4, 4), torch.nan)}, RangeError, "depth"),
+    ],
+)
+def test_bad_input(change: dict[str, object], error: type[Exception], words: str) -> None:
+    good: dict[str, object] = {"image": torch.rand(1, 4, 4) + 0.1, "light": LIGHT}
+    with pytest.raises(error, match=words):
+        shape_from_shading(**{**good, **change})  # type: ignore[arg-type]
