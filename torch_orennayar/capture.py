@@ -105,8 +105,7 @@ def load_capture(
         >>> ton.load_capture(folder).images.shape
         torch.Size([3, 3, 4, 5])
     """
-    if encoding not in ("auto", "linear", "srgb"):
-        raise RangeError("encoding", expected="'auto', 'linear' or 'srgb'", got=repr(encoding), mend="choose one")
+    _check_encoding(encoding)
     source = Path(path)
     if not source.exists():
         raise FileError(str(source), expected="a capture folder or .lp file", got="nothing there", mend="check it")
@@ -134,6 +133,40 @@ def load_capture(
         names=tuple(f.name for f in files),
         notes=tuple(notes),
     )
+
+
+def _check_encoding(encoding: str) -> None:
+    if encoding not in ("auto", "linear", "srgb"):
+        raise RangeError("encoding", expected="'auto', 'linear' or 'srgb'", got=repr(encoding), mend="choose one")
+
+
+def load_photograph(
+    path: str | os.PathLike[str],
+    light: Tensor,
+    *,
+    mask: str | os.PathLike[str] | None = None,
+    encoding: str = "auto",
+) -> Capture:
+    """Read one photograph under one light, as `shape_from_shading` takes it.
+
+    Args:
+        path: the picture.
+        light: (3,) unit direction.
+        mask: its mask file; default: every pixel is the object.
+        encoding: as in `load_capture`.
+
+    Raises:
+        FileError: a file is missing, damaged or of another size.
+        RangeError: unknown encoding.
+    """
+    _check_encoding(encoding)
+    notes: list[str] = []
+    images = read_photographs([Path(path)], encoding, notes, torch.ones(1, 3), None)
+    size = (images.shape[2], images.shape[3])
+    inside = torch.ones(1, *size, dtype=torch.bool)
+    if mask is not None:
+        inside = _read_mask(Path(mask), size, required=True, notes=notes)
+    return Capture(images, light[None], torch.ones(1, 3), inside, None, (Path(path).name,), tuple(notes))
 
 
 def save_capture(

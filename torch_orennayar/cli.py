@@ -1,4 +1,4 @@
-"""The command ``orennayar``: demo, render, stereo, calibrate, export, info. Angles on the command line are degrees."""
+"""The command ``orennayar``. Angles on the command line are degrees."""
 
 from __future__ import annotations
 
@@ -18,10 +18,12 @@ from .files import check_output
 from .progress import say
 
 if TYPE_CHECKING:
+    from torch import Tensor
+
     from .camera import Camera
 
 app = typer.Typer(
-    help="Rough surfaces: shading, rendering, photometric stereo, ONNX export. Angles are degrees.",
+    help="Rough surfaces: shading, rendering, photometric stereo, shape from shading, ONNX export. Angles are degrees.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
@@ -96,7 +98,6 @@ def render(
 ) -> None:
     """Draw a mesh: its normal map, depth, and the surface shaded smooth and rough."""
     import torch
-    import torch.nn.functional as F
 
     from .figures import show_light
     from .images import ANIMATIONS, write_animation
@@ -113,11 +114,9 @@ def render(
             raise FileError(str(turntable), expected="a .gif or .mp4 name", got=got, mend="rename it")
         check_output(turntable.parent)
     layer = OrenNayar(model)
-    direction = torch.tensor(light)
-    if not (bool(direction.isfinite().all()) and bool(direction.norm() > 0)):
-        raise RangeError("--light", expected="a direction", got=str(light), mend="give three numbers, not all zero")
+    unit = _direction(light)[None]
     vertices, faces = load_mesh(mesh)
-    vertices, unit = normalise_mesh(vertices), F.normalize(direction, dim=0)[None]
+    vertices = normalise_mesh(vertices)
     seen = render_normals(vertices, faces, _camera(azimuth, elevation, fov), (size, size))
     if not bool(seen.mask.any()):
         raise RangeError(str(mesh), expected="a surface that can be seen", got="no pixel", mend="check the mesh")
@@ -211,6 +210,57 @@ def stereo(
         f"{total:.1f} s in all: {ready - begun:.1f} s loading, {seconds:.1f} s solving; open {output / 'report.html'}",
         markup=False,
     )
+
+
+@app.command()
+def shape(
+    image: Annotated[Path, typer.Argument(help="One photograph of an object under one light.")],
+    light: Annotated[tuple[float, float, float], typer.Option(help="Direction to the light: right, up, to you.")],
+    output: Output = Path("out"),
+    roughness: Annotated[
+        float | None, typer.Option(help="Roughness in degrees, 0 to 90; default: estimated.", min=0, max=90)
+    ] = None,
+    albedo: Annotated[float | None, typer.Option(help="Albedo; default: estimated.", min=0)] = None,
+    mask: MaskFile = None,
+    model: ModelName = "vcavity",
+    contour: Annotated[
+        bool, typer.Option(help="Whether the mask's edge is where the surface turns away from the viewer.")
+    ] = True,
+    encoding: Encoding = "auto",
+) -> None:
+    """One photograph under a known light in; depth, normals and a mesh out."""
+    from .capture import load_photograph
+    from .results import write_reconstruction
+    from .shape_from_shading import shape_from_shading
+
+    check_output(output)
+    direction = _direction(light)
+    loaded = load_photograph(image, direction, mask=mask, encoding=encoding)
+    begun = time.perf_counter()
+    found = shape_from_shading(
+        loaded.images[0],
+        direction,
+        loaded.mask,
+        albedo=albedo,
+        roughness=None if roughness is None else math.radians(roughness),
+        model=model,
+        contour=contour and mask is not None,
+    )
+    seconds = time.perf_counter() - begun
+    written = write_reconstruction(output, found, loaded, title=image.stem, seconds=seconds)
+    for line in written.numbers["report"]:
+        out.print(line, markup=False)
+    out.print(f"{seconds:.1f} s solving; open {output / 'report.html'}", markup=False)
+
+
+def _direction(light: tuple[float, float, float]) -> Tensor:
+    """A unit vector from an option."""
+    import torch
+
+    direction = torch.tensor(light)
+    if not (bool(direction.isfinite().all()) and bool(direction.norm() > 0)):
+        raise RangeError("--light", expected="a direction", got=str(light), mend="give three numbers, not all zero")
+    return torch.nn.functional.normalize(direction, dim=0)
 
 
 @app.command()

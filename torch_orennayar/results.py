@@ -14,19 +14,21 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from .camera import Camera
 from .capture import Capture
 from .figures import crop_to, save_bars, save_maps, save_sheet, show_light, show_normals
 from .files import atomic_directory, atomic_path
 from .images import encode_normals, linear_to_srgb, write_animation, write_image
 from .integrate import integrate_normals
 from .material import Material
-from .mesh import depth_to_mesh, save_mesh
+from .mesh import depth_to_mesh, normalise_mesh, save_mesh
 from .metrics import angular_error
 from .reconstruction import Reconstruction
-from .render import NormalMap
+from .render import NormalMap, render_normals
 from .report import Section, write_report
+from .shading import OrenNayar
 
-OPTIONAL = {"error.npy", "error.png", "scores.png", "specular.npy", "specular.png"}
+OPTIONAL = {"error.npy", "error.png", "scores.png", "specular.npy", "specular.png", "turntable.gif"}
 """Files that not every reconstruction has."""
 MAX_DEPTH_PIXELS = 4_000_000
 
@@ -47,8 +49,8 @@ def write_reconstruction(
     ``normal.png`` (16-bit, green up) and ``normal.npy``; ``albedo.png`` (sRGB, stretched) and
     ``albedo.npy`` (linear); ``roughness``, ``residual``, ``confidence``, ``specular`` where highlights were
     fitted and, where truth is known, ``error`` as ``.png`` and ``.npy``; ``depth.npy`` (pixels toward the viewer);
-    ``mesh.ply``; ``relight.gif``; ``result.json``; ``report.html``. Depth and mesh of more than 4 million pixels
-    are made at a fraction of the resolution, which ``result.json`` names.
+    ``mesh.ply``; ``relight.gif`` and ``turntable.gif``; ``result.json``; ``report.html``.
+    Depth and mesh of more than 4 million pixels are made at a fraction of the resolution, which ``result.json`` names.
 
     Args:
         folder: made if need be; files of other names in it stay.
@@ -65,7 +67,7 @@ def write_reconstruction(
     """
     mask = capture.mask.cpu()
     arrays = {name: getattr(found, name).cpu() for name in ("normal", "albedo", "roughness", "residual", "confidence")}
-    depth, step = _integrate(arrays["normal"], mask)
+    depth, step = (found.depth.cpu(), 1) if found.depth is not None else _integrate(arrays["normal"], mask)
     error = None
     if capture.normal is not None:
         error = angular_error(arrays["normal"], capture.normal, mask)
@@ -96,6 +98,7 @@ def write_reconstruction(
         _draw_maps(temporary, arrays, mask)
         _write_mesh(temporary / "mesh.ply", depth, stretched[:, ::step, ::step], mask[:, ::step, ::step])
         _write_relighting(temporary / "relight.gif", found, top)
+        _write_turntable(temporary / "turntable.gif", depth, stretched[:, ::step, ::step], mask[:, ::step, ::step])
         (temporary / "result.json").write_text(json.dumps(numbers, indent=2) + "\n")
         _write_page(temporary, title, numbers, arrays, stretched, top, mask)
         written = {p.name for p in temporary.iterdir()}
@@ -196,6 +199,26 @@ def _write_relighting(path: Path, found: Reconstruction, top: float) -> None:
     )
 
 
+def _write_turntable(path: Path, depth: Tensor, albedo: Tensor, mask: Tensor) -> None:
+    """The surface as seen from the right, the left and back, at a size for looking; the light stays with the viewer."""
+    step = math.ceil(max(mask.shape[1:]) / 160)
+    small, kept = depth[:, ::step, ::step].float() / step, mask[:, ::step, ::step]
+    vertices, faces, pixels = depth_to_mesh(small, kept)
+    if len(faces) == 0:
+        return
+    colours = albedo[:, ::step, ::step].flatten(1)[:, pixels].T
+    layer, light = OrenNayar("lambert"), torch.nn.functional.normalize(torch.tensor([[0.4, 0.5, 1.0]]), dim=1)
+    pictures = []
+    for k in range(24):
+        azimuth = math.radians(50) * math.sin(2 * math.pi * k / 24)
+        eye = (3 * math.sin(azimuth), 0.6, 3 * math.cos(azimuth))
+        seen = render_normals(normalise_mesh(vertices), faces, Camera.perspective(math.radians(40), eye), (240, 240))
+        at_corners = colours[faces[seen.face[0, 0].clamp_min(0)]]  # (H, W, 3, C)
+        tint = torch.einsum("hwkc,khw->chw", at_corners, seen.barycentric[0])[None]
+        pictures.append(show_light(seen.shade(layer, light, albedo=tint)[0], seen.mask[0]))
+    write_animation(path, pictures)
+
+
 def write_lights(folder: str | os.PathLike[str], name: str, values: Tensor) -> Path:
     """Write light directions or intensities, a line per light, as `load_capture` reads them."""
     target = Path(folder) / name
@@ -254,7 +277,8 @@ def _write_page(
             "best, drawn in colour, was taken.",
         )
         sections.append(Section("Why this model", text, pictures=(folder / "scores.png",)))
-    sections.append(Section("Under other lights", pictures=(folder / "relight.gif",)))
+    moving = [folder / name for name in ("relight.gif", "turntable.gif") if (folder / name).is_file()]
+    sections.append(Section("Under other lights, from other sides", pictures=moving))
     names = ("residual", "confidence", "roughness", *(("specular",) if "specular" in arrays else ()))
     maps = [folder / f"{name}.png" for name in names]
     if "error" in arrays:
