@@ -4,12 +4,13 @@ import json
 import sys
 from pathlib import Path
 
+import height_fields
 import numpy as np
 import PIL.Image
 import pytest
 import torch
 
-from torch_orennayar import decode_normals, load_capture, save_mesh
+from torch_orennayar import angular_error, decode_normals, load_capture, save_mesh
 from torch_orennayar.calibrate import Ball
 from torch_orennayar.cli import main
 from torch_orennayar.demo import make_object
@@ -189,3 +190,26 @@ def test_calibrate_writes_files_that_the_loader_reads(orennayar: object, tmp_pat
     result = orennayar("calibrate", "silver", capture_folder)  # type: ignore[operator]
     assert result.status == 1
     assert "chrome, grey or own" in result.err
+
+
+def test_shape_from_one_photograph(orennayar: object, tmp_path: Path) -> None:
+    field, light = height_fields.make("sphere cap", 64), height_fields.light_at(30)
+    write_image(tmp_path / "photo.png", height_fields.photograph(field, light, 0.5).clamp(0, 1), bits=16)
+    write_image(tmp_path / "mask.png", field.mask.float())
+    out = tmp_path / "out"
+    command = ("shape", tmp_path / "photo.png", "--mask", tmp_path / "mask.png", "-o", out, "--light", *light.tolist())
+    result = orennayar(*command, "--albedo", 0.8, "--roughness", np.degrees(0.5))  # type: ignore[operator]
+    assert result.status == 0
+    assert "in shadow" in result.out
+    found = torch.from_numpy(np.load(out / "normal.npy"))
+    assert angular_error(found, field.normal.float(), field.mask).summary()["median"] < 4
+    depth = np.load(out / "depth.npy")
+    assert depth.shape == (1, 64, 64)
+    with PIL.Image.open(out / "turntable.gif") as turntable:
+        assert turntable.n_frames == 24  # type: ignore[attr-defined]
+    assert {"mesh.ply", "report.html", "relight.gif"} <= {f.name for f in out.iterdir()}
+    guessed = orennayar(*command)  # type: ignore[operator]
+    assert "take it as a guess" in guessed.out
+    dark = orennayar(*command[:6], "--light", 0, 0, -1)  # type: ignore[operator]
+    assert dark.status == 1
+    assert "swap_opencv_frame" in dark.err
