@@ -25,7 +25,7 @@ STEPS = 100
 SCALES, SCALE_GAIN = 6, 1.4
 """The step is sought at several scales at once, the coarser the larger: what would take L-BFGS thousands of steps."""
 HISTORY = 10
-SMALL = 2**17
+SMALL = 50_000
 """Pixels below which a second thread gains a tenth, and costs a factor of 30 on a busy machine."""
 TWIST = 0.02
 """Weight against the checkerboard of corners, which normals do not see."""
