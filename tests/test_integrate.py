@@ -3,7 +3,7 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-import numpy as np
+import evaluate_integration
 import pytest
 import torch
 import torch.nn.functional as F
@@ -14,11 +14,9 @@ from torch_orennayar import (
     CaptureError,
     RangeError,
     ShapeError,
-    decode_normals,
     integrate,
     integrate_normals,
 )
-from torch_orennayar.images import read_image
 
 
 def waves(size: int) -> tuple[Tensor, Tensor]:
@@ -140,14 +138,9 @@ def test_a_depth_edge_is_left_open(camera: Camera | None) -> None:
 @pytest.mark.parametrize(("name", "bar"), [("cat", 0.074), ("pot1", 0.635), ("reading", 0.257)])
 def test_real_normals_against_published_errors(data: Path, name: str, bar: float) -> None:
     """Mean absolute depth error in mm, up to scale: no worse than bilateral normal integration is reported."""
-    folder = data / "integration" / name
-    colours = torch.from_numpy(read_image(folder / "normal_map.png").astype(np.float64) / 65535).permute(2, 0, 1)
-    mask = torch.from_numpy(read_image(folder / "mask.png") > 0)[None]
-    truth = torch.from_numpy(np.load(folder / "depth_gt.npz")["depth_gt"])[None].double()
-    camera = Camera.from_intrinsics(torch.from_numpy(np.loadtxt(folder / "K.txt")), mask.shape[1:])
-    found = integrate_normals(decode_normals(colours), mask, camera=camera)
-    scale = (truth[mask] / found[mask]).median()
-    assert (found * scale - truth)[mask].abs().mean() < bar
+    case = evaluate_integration.from_folder(data / "integration" / name)
+    found = integrate_normals(case.normal, case.mask, camera=case.camera)
+    assert case.error(found)[case.mask].mean() < bar
 
 
 def test_a_field_that_no_surface_has() -> None:

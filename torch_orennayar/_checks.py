@@ -8,7 +8,7 @@ from numbers import Real
 import torch
 from torch import Tensor
 
-from .errors import RangeError, ShapeError
+from .errors import CaptureError, RangeError, ShapeError
 
 LOOKED_AT = 2048
 """Of this many directions of a map the length is checked; of smaller tensors that of all."""
@@ -17,6 +17,20 @@ LOOKED_AT = 2048
 def checking() -> bool:
     """Whether values may be looked at now."""
     return not torch.compiler.is_compiling()
+
+
+def check_mask(mask: Tensor | None, image: Tensor) -> Tensor:
+    """The mask (1, H, W) bool of the object in ``image`` (..., H, W), not empty; all pixels where there is none."""
+    size = (1, *image.shape[-2:])
+    if mask is None:
+        return torch.ones(size, dtype=torch.bool, device=image.device)
+    if tuple(mask.shape) != size or mask.dtype != torch.bool:
+        raise ShapeError(
+            "mask", expected=f"{size} bool", got=f"{tuple(mask.shape)} {mask.dtype}", mend="mask[None] > 0.5"
+        )
+    if not bool(mask.any()):
+        raise CaptureError("mask", expected="some pixels", got="none", mend="mark the object")
+    return mask
 
 
 def check_axis(argument: str, tensor: Tensor, axis_from_end: int, sizes: tuple[int, ...]) -> None:

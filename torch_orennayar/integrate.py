@@ -174,18 +174,17 @@ def _integrate(field: _Field) -> Floats:
     count = int(field.inside.sum())
     pairs = [_Pairs.of(field, axis) for axis in (0, 1)]
     growth = np.geomspace(*SHARPNESS, STEPS - LAST_STEPS + 1).tolist()
-    sharpness = [*growth, *[SHARPNESS[1]] * (LAST_STEPS - 1)]
-    height, trust = np.zeros(count), [np.full(len(p.rise), 0.5) for p in pairs]
+    # First without any, which is plain least squares.
+    sharpness = [0.0, *growth, *[SHARPNESS[1]] * (LAST_STEPS - 2)][:STEPS]
+    height = np.zeros(count)
     if count > LARGE:
         coarse = field.halved()
         canvas = np.zeros(coarse.inside.shape)
         canvas[coarse.inside] = _integrate(coarse)
         height = canvas.repeat(2, 0).repeat(2, 1)[: field.inside.shape[0], : field.inside.shape[1]][field.inside]
-        sharpness = sharpness[-LAST_STEPS:]
-        trust = [p.trust(height, sharpness[0]) for p in pairs]
+        sharpness = [SHARPNESS[1]] * LAST_STEPS
     for value in track(sharpness, "integrating", len(sharpness)):
-        height = _solve(pairs, trust, height)
-        trust = [p.trust(height, value) for p in pairs]
+        height = _solve(pairs, [p.trust(height, value) for p in pairs], height)
     return height
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from ._checks import check_floating
+from ._checks import check_floating, check_mask
 from .camera import Camera
 from .errors import RangeError, ShapeError
 from .integrate import integrate_normals
@@ -49,7 +49,7 @@ def near_light_stereo(
         distance: of the object from the camera along its axis: the mean of an orthographic view's depth, the
             geometric mean of a perspective view's. Not found from the images: measure it.
         model: as for `photometric_stereo`.
-        rounds: turns before the last one; two settle a sphere seen from two diameters to .01 degree.
+        rounds: turns before the last one.
         seed: as for `photometric_stereo`.
 
     Returns:
@@ -147,9 +147,4 @@ def _check(
         raise RangeError("distance", expected="a positive number", got=str(distance), mend="measure it")
     if rounds < 1:
         raise RangeError("rounds", expected="at least 1", got=str(rounds), mend="use the default, 2")
-    size = (1, *images.shape[2:])
-    if mask is None:
-        return torch.ones(size, dtype=torch.bool, device=images.device)
-    if mask.shape != size or mask.dtype != torch.bool:
-        raise ShapeError("mask", expected=f"{size} bool", got=f"{tuple(mask.shape)} {mask.dtype}", mend="mask[None]")
-    return mask
+    return check_mask(mask, images)

@@ -206,13 +206,14 @@ def _write_turntable(path: Path, depth: Tensor, albedo: Tensor, mask: Tensor) ->
     vertices, faces, pixels = depth_to_mesh(small, kept)
     if len(faces) == 0:
         return
+    vertices = normalise_mesh(vertices)
     colours = albedo[:, ::step, ::step].flatten(1)[:, pixels].T
     layer, light = OrenNayar("lambert"), torch.nn.functional.normalize(torch.tensor([[0.4, 0.5, 1.0]]), dim=1)
     pictures = []
     for k in range(24):
         azimuth = math.radians(50) * math.sin(2 * math.pi * k / 24)
         eye = (3 * math.sin(azimuth), 0.6, 3 * math.cos(azimuth))
-        seen = render_normals(normalise_mesh(vertices), faces, Camera.perspective(math.radians(40), eye), (240, 240))
+        seen = render_normals(vertices, faces, Camera.perspective(math.radians(40), eye), (240, 240))
         at_corners = colours[faces[seen.face[0, 0].clamp_min(0)]]  # (H, W, 3, C)
         tint = torch.einsum("hwkc,khw->chw", at_corners, seen.barycentric[0])[None]
         pictures.append(show_light(seen.shade(layer, light, albedo=tint)[0], seen.mask[0]))

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from . import surface_fit
-from ._checks import check_floating, check_range, check_unit
+from ._checks import check_floating, check_mask, check_range, check_unit
 from .camera import Camera
 from .errors import CaptureError, RangeError, ShapeError
 from .reconstruction import Reconstruction, stack
@@ -199,8 +199,7 @@ def _to_depth(height: Tensor, camera: Camera | None, size: tuple[int, int]) -> T
 def _start(scene: Scene, depth: Tensor | None, camera: Camera | None, contour: bool) -> Tensor:
     """Heights of corners to begin with."""
     if depth is None:
-        pillow = surface_fit.inflate(scene.mask)
-        return pillow if contour else 0 * pillow
+        return surface_fit.inflate(scene.mask) if contour else torch.zeros_like(surface_fit.corners(scene.mask))
     height = _to_height(depth.to(scene.image), camera, (scene.mask.shape[1], scene.mask.shape[2]))
     height = torch.where(scene.mask > 0, height, 0)
     share = surface_fit.corners(scene.mask).clamp_min(1e-6)
@@ -301,14 +300,10 @@ def _check(image: Tensor, light: Tensor, mask: Tensor | None, depths: dict[str, 
     if tuple(light.shape) not in ((3,), (3, *size)):
         raise ShapeError("light", expected=f"(3,) or {(3, *size)}", got=str(tuple(light.shape)), mend="one light")
     check_unit("light", light, 0, gaps=light.ndim > 1)
-    inside = torch.ones(1, *size, dtype=torch.bool, device=image.device) if mask is None else mask
-    for name, value in (("mask", inside), *depths.items()):
+    inside = check_mask(mask, image)
+    for name, value in depths.items():
         if value is not None and tuple(value.shape) != (1, *size):
             raise ShapeError(name, expected=str((1, *size)), got=str(tuple(value.shape)), mend="of the image's size")
-    if inside.dtype != torch.bool:
-        raise ShapeError("mask", expected="bool", got=str(inside.dtype), mend="mask > 0.5")
-    if not bool(inside.any()):
-        raise CaptureError("mask", expected="some pixels", got="none", mend="mark the object")
     for name, value in (("image", image), ("depth", depths["depth"])):
         if value is not None and not bool(value[:, inside[0]].isfinite().all()):
             raise RangeError(name, expected="finite values inside the mask", got="NaN or infinity", mend="shrink mask")

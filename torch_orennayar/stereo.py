@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from . import _robust_fit as robust_fit
-from ._checks import check_floating
+from ._checks import check_floating, check_mask
 from .bands import band_height, gather, gather_directions, solve_bands
 from .errors import CaptureError, RangeError, ShapeError
 from .evaluation import working_dtype
@@ -245,15 +245,7 @@ def _check(images: Tensor, lights: Tensor, mask: Tensor | None) -> Tensor:
         raise ShapeError(
             "lights", expected=f"{wanted} or {(*wanted, *size)}", got=str(tuple(lights.shape)), mend="one per image"
         )
-    if mask is None:
-        mask = torch.ones(1, *size, dtype=torch.bool, device=images.device)
-    if tuple(mask.shape) != (1, *size) or mask.dtype != torch.bool:
-        raise ShapeError(
-            "mask", expected=f"{(1, *size)} bool", got=f"{tuple(mask.shape)} {mask.dtype}", mend="mask[None] > 0.5"
-        )
-    if not bool(mask.any()):
-        raise CaptureError("mask", expected="some pixels", got="none", mend="mark the object")
-    return mask[0]
+    return check_mask(mask, images)[0]
 
 
 def _check_lights(lights: Tensor, report: list[str]) -> None:

@@ -151,18 +151,15 @@ def inflate(mask: Tensor) -> Tensor:
 
     padded = F.pad(mask, (1, 1, 1, 1))[0] > 0.5
     inside = padded.cpu().numpy()
-    index = -torch.ones(padded.shape, dtype=torch.long)
-    index[padded.cpu()] = torch.arange(int(padded.sum()))
-    number, around = index.numpy(), pyamg.gallery.poisson(inside.shape, format="csr")
     kept = inside.flatten().nonzero()[0]
-    system = around[kept][:, kept]
+    system = pyamg.gallery.poisson(inside.shape, format="csr")[kept][:, kept]
     wanted = torch.full((len(kept),), 4.0, dtype=torch.float64).numpy()
     if len(kept) > 5000:
         solution = pyamg.ruge_stuben_solver(system.tocsr(), max_coarse=50).solve(wanted, tol=1e-4, accel="cg")
     else:
         solution = scipy.sparse.linalg.spsolve(system.tocsc(), wanted)
     square = torch.zeros(inside.shape, dtype=torch.float64)
-    square[padded.cpu()] = torch.as_tensor(solution).reshape(-1)[number[inside]]
+    square[padded.cpu()] = torch.as_tensor(solution).reshape(-1)
     height = square.clamp_min(0).sqrt().to(mask)
     return corners(height[None, 1:-1, 1:-1])
 
