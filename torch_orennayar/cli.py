@@ -305,21 +305,31 @@ def calibrate(
 @app.command()
 def export(
     path: Annotated[Path, typer.Argument(help="The .onnx file to write.")] = Path("out/shading.onnx"),
-    graph: Annotated[str, typer.Option(help="What to export: shading, renderer or shaded_mesh.")] = "shading",
+    graph: Annotated[str, typer.Option(help="What to export: shading, renderer, shaded_mesh or stereo.")] = "shading",
     model: ModelName = "vcavity",
     per_pixel_directions: Annotated[bool, typer.Option("--per-pixel", help="Light and view are maps.")] = False,
+    half: Annotated[bool, typer.Option("--half", help="Inputs and outputs in float16.")] = False,
     size: Size = 512,
     azimuth: Azimuth = 0.0,
     elevation: Elevation = 0.0,
     fov: FieldOfView = None,
 ) -> None:
     """Write an ONNX graph and verify it; the last four options are a renderer's view of the unit sphere."""
+    import torch
+
     from .export import export_onnx
 
     check_output(path.parent)
-    say("exporting and verifying" + ("" if graph == "shading" else ", about half a minute"))
-    camera = _camera(azimuth, elevation, fov)
-    export_onnx(graph, path, model=model, per_pixel_directions=per_pixel_directions, camera=camera, size=(size, size))
+    say("exporting and verifying" + (", about half a minute" if graph in ("renderer", "shaded_mesh") else ""))
+    export_onnx(
+        graph,
+        path,
+        model=model,
+        per_pixel_directions=per_pixel_directions,
+        camera=_camera(azimuth, elevation, fov),
+        size=(size, size),
+        dtype=torch.float16 if half else torch.float32,
+    )
     out.print(f"{path}: {path.stat().st_size / 1000:.0f} kB, equal to torch at every size tried", markup=False)
 
 

@@ -4,39 +4,47 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import torch
 import torch.nn.functional as F
-from torch import Tensor
+from torch import Tensor, nn
 
 from ._version import __version__
 from .camera import Camera
 from .errors import ExportError
 from .files import atomic_path
+from .module_graph import hold, module_graph, other_sizes, to_half
 from .reflectance import get_model
 from .render import check_size
 from .renderer_graph import Renderer, renderer_graph, renderer_inputs, renderer_trials
 from .shading import oren_nayar
 from .shading_graph import BAND, INPUTS, shading_graph
+from .stereo_graph import CANDIDATES, STEREO_INPUTS, solve_closed_form, stereo_graph, stereo_trials
 
 if TYPE_CHECKING:
     import onnx
 
 TOLERANCE = 1e-5
 """Largest difference from torch that a written graph may show, for values up to about 1."""
+STEPS = {torch.float32: 0.0, torch.float16: 2.0**-11}
+"""What rounding the answer to a format costs, as a share of it."""
 
 
 def export_onnx(
-    what: str,
+    what: str | nn.Module,
     path: str | os.PathLike[str],
     *,
     model: str = "qualitative",
     per_pixel_directions: bool = False,
     camera: Camera | None = None,
     size: tuple[int, int] | None = None,
+    example_inputs: tuple[Tensor, ...] | None = None,
+    input_names: Sequence[str] | None = None,
+    output_names: Sequence[str] | None = None,
+    dtype: torch.dtype = torch.float32,
 ) -> Path:
     """Write a graph as an ONNX file and verify it against torch in ONNX Runtime before returning.
 
@@ -52,22 +60,35 @@ def export_onnx(
     ``"shaded_mesh"`` also takes ``light`` (K, 3) in the camera frame, ``albedo`` (C,) and ``roughness`` (1,) and
     returns ``shading`` (K, C, H, W) before those; K and C are dynamic.
 
-    All float32, linear light, roughness in radians; opset 18. Meaning and units are in the file's metadata.
+    ``"stereo"`` takes ``images`` (K, C, H, W) of linear light, ``lights`` (K, 3), unit, and ``mask`` (1, H, W) bool and
+    returns ``normal`` (3, H, W), ``albedo`` (C, H, W) and ``roughness`` (1, H, W), 0 outside the mask; all axes are
+    dynamic. It is robust least squares in closed form with one roughness for the object (`stereo_graph`), less exact
+    than `photometric_stereo`. K >= 3, and the mask must hold a pixel.
+
+    A module of your own, with `OrenNayar` in it or without, takes ``example_inputs``; every axis that it allows to
+    differ is dynamic, but for those of size 1 in the example. It is exported in evaluation mode.
+
+    Linear light, roughness in radians; opset 18. Meaning and units are in the file's metadata.
 
     Args:
-        what: ``"shading"``, ``"renderer"`` or ``"shaded_mesh"``.
+        what: ``"shading"``, ``"renderer"``, ``"shaded_mesh"``, ``"stereo"`` or a module.
         path: the file; it appears whole and verified, or not at all.
-        model: a name in ``MODELS``, registered ones too; ``"renderer"`` uses none.
+        model: a name in ``MODELS``, registered ones too; ``"renderer"`` and modules use none.
         per_pixel_directions: light and view as maps (``"shading"``).
         camera: one camera (``"renderer"``, ``"shaded_mesh"``).
         size: (H, W) of the pictures (the same).
+        example_inputs: positional inputs of a module.
+        input_names: of a module; default ``input_0``, ``input_1`` ...
+        output_names: of a module; default ``output_0`` ...
+        dtype: of floating inputs and outputs, float32 or float16; the graph computes in float32.
 
     Returns:
         ``path``.
 
     Raises:
-        ExportError: unknown ``what``, no camera or size where one is needed, a model that does not export, or a graph
-            that differs from torch: in a face at all, in other values by more than 1e-5 and float32's rounding.
+        ExportError: unknown ``what`` or ``dtype``, no camera, size or example where one is needed, a model or module
+            that does not export, or a graph that differs from torch: in a face at all, in other values by more than
+            1e-5 and rounding.
         ModelError: unknown model.
 
     Example:
@@ -76,8 +97,14 @@ def export_onnx(
         >>> path.stat().st_size > 0
         True
     """
-    if what == "shading":
+    if dtype not in (torch.float32, torch.float16):
+        raise ExportError("dtype", expected="float32 or float16", got=str(dtype), mend="choose one")
+    if isinstance(what, nn.Module):
+        task = _module_task(what, example_inputs, input_names, output_names)
+    elif what == "shading":
         task = _shading_task(get_model(model).name, per_pixel_directions)
+    elif what == "stereo":
+        task = _stereo_task(get_model(model).name)
     elif what in ("renderer", "shaded_mesh"):
         if camera is None or size is None or len(camera.eye) != 1:
             got = "none" if camera is None or size is None else f"{len(camera.eye)} cameras"
@@ -86,16 +113,24 @@ def export_onnx(
         camera.rays(size)  # raises where they do not fit
         task = _renderer_task(Renderer(camera, size, get_model(model).name if what == "shaded_mesh" else None))
     else:
-        expected = "'shading', 'renderer' or 'shaded_mesh'"
+        expected = "'shading', 'renderer', 'shaded_mesh', 'stereo' or a module"
         raise ExportError("what", expected=expected, got=repr(what), mend="choose one")
-    _describe(task.graph, {"graph": what} | task.meaning)
+    if dtype == torch.float16:
+        to_half(task.graph)
+        task = task._replace(trials=[tuple(_in(dtype, t) for t in trial) for trial in task.trials])
+    name = what if isinstance(what, str) else type(what).__name__
+    _describe(task.graph, {"graph": name, "precision": str(dtype).removeprefix("torch.")} | task.meaning)
     target = Path(path)
     with atomic_path(target) as temporary:
         import onnx
 
         onnx.save(task.graph, temporary)
-        _verify(temporary, task)
+        _verify(temporary, task, dtype)
     return target
+
+
+def _in(dtype: torch.dtype, value: Tensor) -> Tensor:
+    return value.to(dtype) if value.is_floating_point() else value
 
 
 class _Task(NamedTuple):
@@ -103,7 +138,7 @@ class _Task(NamedTuple):
 
     graph: onnx.ModelProto
     meaning: dict[str, str]
-    inputs: tuple[str, ...]
+    inputs: Sequence[str]
     trials: list[tuple[Tensor, ...]]
     function: Callable[..., tuple[Tensor, ...]]
 
@@ -132,6 +167,41 @@ def _renderer_task(renderer: Renderer) -> _Task:
         meaning |= _shading_meaning(renderer.model)
     inputs = renderer_inputs(renderer.model)
     return _Task(renderer_graph(renderer), meaning, inputs, renderer_trials(renderer), renderer)
+
+
+def _stereo_task(name: str) -> _Task:
+    tried = ", ".join(f"{math.degrees(c):g}" for c in CANDIDATES)
+    meaning = {
+        "model": name,
+        "source": get_model(name).source,
+        "images": "linear light, each divided by the intensity of its light",
+        "lights": "unit, away from the surface, toward the source",
+        "mask": "true where there is an object; at least one pixel",
+        "albedo": "in the unit of the images; 1 is a white surface under a light of irradiance pi",
+        "roughness": "one for the object: standard deviation of the facet slope angle, radians; "
+        + ("always 0" if name == "lambert" else f"found between {tried} degrees"),
+        "method": "trimmed, then reweighted (Geman-McClure) least squares, 10 closed-form solutions",
+    }
+
+    def solve(images: Tensor, lights: Tensor, mask: Tensor) -> tuple[Tensor, ...]:
+        return solve_closed_form(images, lights, mask, name)
+
+    return _Task(stereo_graph(name), meaning, STEREO_INPUTS, stereo_trials(), solve)
+
+
+def _module_task(
+    module: nn.Module,
+    example: tuple[Tensor, ...] | None,
+    input_names: Sequence[str] | None,
+    output_names: Sequence[str] | None,
+) -> _Task:
+    if not example or not all(isinstance(t, Tensor) for t in example):
+        got = "none" if not example else "values that are no tensors"
+        raise ExportError("example_inputs", expected="a tuple of tensors", got=got, mend="give what forward takes")
+    held = hold(module, example)
+    inputs = list(input_names) if input_names is not None else [f"input_{k}" for k in range(len(example))]
+    graph = module_graph(held, example, inputs, output_names)
+    return _Task(graph, {}, inputs, [example, *other_sizes(graph, held, example)], held)
 
 
 def describe_onnx(path: str | os.PathLike[str]) -> dict[str, Any]:
@@ -218,7 +288,7 @@ def _describe(graph: onnx.ModelProto, meaning: dict[str, str]) -> None:
     graph.producer_version = __version__
 
 
-def _verify(file: Path, task: _Task) -> None:
+def _verify(file: Path, task: _Task, dtype: torch.dtype) -> None:
     """ONNX Runtime's answers against torch's on every trial, twice."""
     import onnx
     import onnxruntime
@@ -229,12 +299,12 @@ def _verify(file: Path, task: _Task) -> None:
         for trial in task.trials:
             feeds = {name: value.numpy() for name, value in zip(task.inputs, trial, strict=True)}
             answers, again = session.run(None, feeds), session.run(None, feeds)
-            wanted = task.function(*trial)
-            exact = task.function(*(t.double() if t.is_floating_point() else t for t in trial))
+            wanted = task.function(*(_in(torch.float32, t) for t in trial))
+            exact = task.function(*(_in(torch.float64, t) for t in trial))
             for name, *values in zip(
                 (o.name for o in session.get_outputs()), answers, again, wanted, exact, strict=True
             ):
-                _compare(name, *(torch.as_tensor(v) for v in values))
+                _compare(name, *(torch.as_tensor(v) for v in values), step=STEPS[dtype])
     except ExportError:
         raise
     except Exception as error:  # checker and runtime errors share no base
@@ -246,7 +316,7 @@ def _verify(file: Path, task: _Task) -> None:
         ) from error
 
 
-def _compare(name: str, answer: Tensor, again: Tensor, wanted: Tensor, exact: Tensor) -> None:
+def _compare(name: str, answer: Tensor, again: Tensor, wanted: Tensor, exact: Tensor, *, step: float) -> None:
     """What float32 itself costs shows in torch, ``wanted`` against ``exact``: a runtime may round as far elsewhere."""
     if answer.shape != exact.shape:
         difference, allowed = f"shape {tuple(answer.shape)}", False
@@ -257,7 +327,7 @@ def _compare(name: str, answer: Tensor, again: Tensor, wanted: Tensor, exact: Te
         exact = torch.where(exact == wanted, wanted, exact)  # infinite where nothing is seen
         rounding = (wanted - exact).nan_to_num(0.0).abs().max().item()
         error = torch.where(answer == exact, 0.0, (answer - exact).abs())
-        limit = TOLERANCE * (1 + exact.abs().nan_to_num(posinf=0.0)) + 4 * rounding
+        limit = TOLERANCE + (TOLERANCE + step) * exact.abs().nan_to_num(posinf=0.0) + 4 * rounding
         difference, allowed = f"difference {error.max().item():g}", bool((error <= limit).all())
     if not allowed or not torch.equal(answer.nan_to_num(), again.nan_to_num()):
         raise ExportError(

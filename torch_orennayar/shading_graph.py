@@ -44,13 +44,14 @@ class Formula(nn.Module):
         return torch.where(facing_both(ci, co), value * ci, 0.0)
 
 
-class _Nodes:
+class Nodes:
     """A list of nodes in the making; every call adds one and gives the name of its output."""
 
     def __init__(self, prefix: str) -> None:
         self.prefix, self.nodes = prefix, list[Any]()
 
     def __call__(self, operator: str, *inputs: str, **attributes: object) -> str:
+        """A node more."""
         import onnx
 
         name = f"{self.prefix}{operator.lower()}_{len(self.nodes)}"
@@ -65,7 +66,7 @@ def shading_graph(model: str, *, per_pixel: bool) -> onnx.ModelProto:
 
     formula = _trace(get_model(model).function).graph
     constants = {"zero": [0], "one": [1], "two": [2], "three": [3], "four": [4], "band_size": [BAND]}
-    add = _Nodes("")
+    add = Nodes("")
 
     def cosine(a: str, b: str) -> str:
         return add("ReduceSum", add("Mul", a, b), "one", keepdims=1)
@@ -100,7 +101,7 @@ def shading_graph(model: str, *, per_pixel: bool) -> onnx.ModelProto:
     lasts = {n: add("Sub", value, "one") for n, value in heights.items()}
 
     # The body: cut every map, run the formula, keep the band. A map of one row is the same in every band.
-    inner = _Nodes("band_")
+    inner = Nodes("band_")
     start = inner("Mul", "index", rows)
     stop = inner("Add", start, rows)
     cut = {n: inner("Slice", value, inner("Min", start, lasts[n]), stop, "two") for n, value in maps.items()}
@@ -181,7 +182,7 @@ def write_graph(
     make: Callable[[], Any],
     example: tuple[Tensor, ...],
     names: tuple[Sequence[str], Sequence[str]],
-    shapes: dict[str, dict[int, object]],
+    shapes: Any,
     subject: tuple[str, str],
     mend: str,
 ) -> onnx.ModelProto:

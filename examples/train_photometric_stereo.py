@@ -1,0 +1,237 @@
+"""Train the photometric stereo network that ships with the package, on pixels shaded on the fly.
+
+    python examples/train_photometric_stereo.py                          # laptop, one GPU: what there is is used
+    torchrun --nproc-per-node 2 examples/train_photometric_stereo.py     # many processes, many machines
+
+Every step draws samples by number, so any number of processes sees the same batch; gradients are averaged. Killed at
+any moment, it goes on from the last checkpoint as if nothing had happened. Writes network.pt (half precision, weights
+averaged over steps), checkpoint.pt and curve.csv.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import os
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import torch
+import torch.distributed as dist
+from torch import Tensor
+
+from torch_orennayar import SyntheticCaptures, TorchOrenNayarError
+from torch_orennayar.errors import FileError
+from torch_orennayar.files import atomic_path
+from torch_orennayar.progress import say, track
+from torch_orennayar.set_network import SetNetwork, save_network
+
+RATE, DECAY, AVERAGE, CLIP = 2e-3, 1e-3, 0.995, 1.0
+WARM_UP = 100
+"""Steps in which the learning rate rises."""
+
+
+class Training:
+    """The network, its moving average and the optimiser: all that a checkpoint holds, and nothing else is random."""
+
+    def __init__(self, options: argparse.Namespace) -> None:
+        torch.manual_seed(options.seed)
+        self.options, self.step = options, 0
+        self.device = torch.device(options.device)
+        self.network = SetNetwork().to(self.device)
+        self.average = SetNetwork().to(self.device)
+        self.average.load_state_dict(self.network.state_dict())
+        self.optimiser = torch.optim.AdamW(self.network.parameters(), lr=RATE, betas=(0.9, 0.98), weight_decay=DECAY)
+        self.rate = torch.optim.lr_scheduler.LambdaLR(self.optimiser, self._rate)
+
+    def _rate(self, step: int) -> float:
+        """Rises, then half a cosine down to 1 %."""
+        if step < WARM_UP:
+            return (step + 1) / WARM_UP
+        share = torch.tensor((step - WARM_UP) / max(1, self.options.steps - WARM_UP))
+        return float(0.01 + 0.495 * (1 + torch.cos(torch.pi * share.clamp_max(1))))
+
+    def run_step(self, samples: SyntheticCaptures, rank: int, world: int) -> tuple[float, float]:
+        """One step over this process's share of the groups; mean loss and error in degrees over all."""
+        groups = self.options.groups
+        self.optimiser.zero_grad()
+        sums = torch.zeros(2, device=self.device)
+        for group in range(rank, groups, world):
+            sample = samples.sample(self.step * groups + group)
+            with torch.autocast(self.device.type, torch.bfloat16, enabled=self.device.type == "cuda"):
+                loss, degrees = losses(self.network, sample)
+            (loss / groups).backward()
+            sums += torch.stack((loss.detach(), degrees)) / groups
+        if world > 1:
+            held = [p.grad for p in self.network.parameters() if p.grad is not None]
+            flat = torch.cat([sums, *(g.flatten() for g in held)])
+            dist.all_reduce(flat)
+            sums, place = flat[:2], 2
+            for g in held:
+                g.copy_(flat[place : place + g.numel()].reshape(g.shape))
+                place += g.numel()
+        torch.nn.utils.clip_grad_norm_(self.network.parameters(), CLIP)
+        self.optimiser.step()
+        self.rate.step()
+        self.step += 1
+        with torch.no_grad():
+            keep = min(AVERAGE, self.step / (self.step + 10))
+            for mean, value in zip(self.average.parameters(), self.network.parameters(), strict=True):
+                mean.lerp_(value, 1 - keep)
+        return float(sums[0]), float(sums[1])
+
+    def state(self) -> dict[str, Any]:
+        """What is needed to go on."""
+        return {
+            "step": self.step,
+            "task": task(self.options),
+            "network": self.network.state_dict(),
+            "average": self.average.state_dict(),
+            "optimiser": self.optimiser.state_dict(),
+            "rate": self.rate.state_dict(),
+        }
+
+    def load(self, state: dict[str, Any]) -> None:
+        """Go on from there."""
+        self.step = state["step"]
+        for part in ("network", "average", "optimiser", "rate"):
+            getattr(self, part).load_state_dict(state[part])
+
+
+def losses(network: SetNetwork, sample: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
+    """Length of the normal's error plus what its own forecast of it is worth, and the error in degrees."""
+    normal, doubt = network(sample["observed"], sample["lights"])
+    missed = (normal.float() - sample["normal"]).square().sum(1).add(1e-12).sqrt()
+    doubt = doubt.float()[:, 0]
+    forecast = (missed.detach() / doubt + doubt.log()).mean()  # Laplace's likelihood
+    return missed.mean() + 0.1 * forecast, torch.rad2deg(2 * (missed.detach() / 2).clamp_max(1).asin()).mean()
+
+
+def task(options: argparse.Namespace) -> dict[str, int]:
+    """What must be the same to go on from a checkpoint."""
+    return {name: getattr(options, name) for name in ("steps", "groups", "observations", "seed")}
+
+
+def save(folder: Path, training: Training) -> None:
+    """The checkpoint, whole or not at all; the one before stays as previous.pt."""
+    current = folder / "checkpoint.pt"
+    if current.exists():
+        current.replace(folder / "previous.pt")
+    with atomic_path(current) as temporary:
+        torch.save(training.state(), temporary)
+
+
+def resume(folder: Path, training: Training) -> None:
+    """Take the newest checkpoint that can be read, if there is one.
+
+    Raises:
+        FileError: there are checkpoints, but none can be read, or they belong to another task.
+    """
+    broken = []
+    for name in ("checkpoint.pt", "previous.pt"):
+        file = folder / name
+        if not file.exists():
+            continue
+        try:
+            state = torch.load(file, map_location=training.device, weights_only=True)
+            same = state["task"] == task(training.options)
+            if same:
+                training.load(state)
+        except Exception as error:  # a torn file raises anything
+            say(f"{file} cannot be read ({type(error).__name__}): trying the one before")
+            broken.append(f"{file}: {type(error).__name__}: {error}")
+            continue
+        if not same:
+            raise FileError(
+                str(file), expected=str(task(training.options)), got=str(state["task"]), mend="use another --output"
+            )
+        say(f"going on from step {training.step}")
+        return
+    if broken:
+        raise FileError(str(folder), expected="a checkpoint", got="; ".join(broken), mend="use another --output")
+
+
+@contextmanager
+def processes() -> Iterator[tuple[int, int]]:
+    """Rank and number of processes; a group where torchrun started several."""
+    if "RANK" not in os.environ:
+        yield 0, 1
+        return
+    dist.init_process_group("nccl" if torch.cuda.is_available() else "gloo")
+    try:
+        yield dist.get_rank(), dist.get_world_size()
+    finally:
+        dist.destroy_process_group()
+
+
+def train(options: argparse.Namespace) -> Training:
+    """All steps, from the beginning or the last checkpoint."""
+    folder: Path = options.output
+    folder.mkdir(parents=True, exist_ok=True)
+    with processes() as (rank, world):
+        if options.groups % world:
+            raise SystemExit(f"--groups {options.groups} cannot be shared evenly by {world} processes")
+        if options.device == "cuda":
+            torch.cuda.set_device(int(os.environ.get("LOCAL_RANK", "0")))
+        training = Training(options)
+        resume(folder, training)
+        samples = SyntheticCaptures(
+            "pixels", seed=options.seed, observations=options.observations, device=options.device, rank=0, world=1
+        )
+        begun, spent = time.perf_counter(), time.process_time()
+        kept = [row for row in read_curve(folder / "curve.csv") if int(row[0]) <= training.step]
+        means: list[tuple[float, float]] = []
+        for _ in track(range(options.steps - training.step), "training"):
+            means.append(training.run_step(samples, rank, world))
+            if rank == 0 and (training.step % options.every == 0 or training.step == options.steps):
+                loss, degrees = (sum(values) / len(means) for values in zip(*means, strict=True))
+                seconds = time.perf_counter() - begun
+                kept.append([str(training.step), f"{loss:.6f}", f"{degrees:.3f}", f"{seconds:.1f}"])
+                means = []
+                write_curve(folder / "curve.csv", kept)
+                save(folder, training)
+        if rank == 0:
+            save_network(folder / "network.pt", training.average)
+            say(f"{training.step} steps, {time.process_time() - spent:.0f} CPU seconds here; {folder / 'network.pt'}")
+    return training
+
+
+def read_curve(file: Path) -> list[list[str]]:
+    """Rows without the header."""
+    if not file.is_file():
+        return []
+    with file.open(newline="") as stream:
+        return list(csv.reader(stream))[1:]
+
+
+def write_curve(file: Path, rows: list[list[str]]) -> None:
+    """Step, mean loss, mean error in degrees, seconds."""
+    with atomic_path(file) as temporary, temporary.open("w", newline="") as stream:
+        csv.writer(stream).writerows([["step", "loss", "degrees", "seconds"], *rows])
+
+
+def parse(arguments: list[str] | None = None) -> argparse.Namespace:
+    """The command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--steps", type=int, default=6000)
+    parser.add_argument("--groups", type=int, default=8, help="samples of a step, shared by all processes")
+    parser.add_argument("--observations", type=int, default=1536, help="pixels times lights of a sample")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--every", type=int, default=100, help="steps between checkpoints")
+    parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
+    parser.add_argument("--threads", type=int, default=0, help="of each process; default: torch's choice")
+    parser.add_argument("-o", "--output", type=Path, default=Path("out/train"))
+    options = parser.parse_args(arguments)
+    if options.threads:
+        torch.set_num_threads(options.threads)
+    return options
+
+
+if __name__ == "__main__":
+    try:
+        train(parse())
+    except TorchOrenNayarError as mistake:
+        raise SystemExit(f"error: {mistake}") from None

@@ -1,0 +1,90 @@
+"""Open the page: make environment and graphs where they are missing, fetch the runtime, serve to this machine alone.
+
+python3 examples/web/serve.py [--port 8000] [--no-open] [--prepare]
+"""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import subprocess
+import sys
+import webbrowser
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parent.parent
+
+
+class Handler(SimpleHTTPRequestHandler):
+    """Files of the page, with the headers that allow threads and forbid other origins."""
+
+    extensions_map = SimpleHTTPRequestHandler.extensions_map | {
+        ".js": "text/javascript",
+        ".mjs": "text/javascript",
+        ".wasm": "application/wasm",
+        ".onnx": "application/octet-stream",
+    }
+
+    def end_headers(self) -> None:
+        """Isolation from other origins is what browsers ask of pages with threads."""
+        self.send_header("Cross-Origin-Opener-Policy", "same-origin")
+        self.send_header("Cross-Origin-Embedder-Policy", "require-corp")
+        self.send_header("Cache-Control", "no-cache")
+        super().end_headers()
+
+    def log_message(self, *_: object) -> None:
+        """Silence: the page itself says what is missing."""
+
+
+def prepare() -> None:
+    """The packages of the page, and its graphs if they are older than the package."""
+    locked = HERE / "node_modules" / ".package-lock.json"
+    if not locked.exists() or locked.stat().st_mtime < (HERE / "package-lock.json").stat().st_mtime:
+        npm = shutil.which("npm")
+        if npm is None:
+            sys.exit("npm is needed to fetch onnxruntime-web: install Node.js 20 or newer")
+        print("fetching onnxruntime-web", flush=True)
+        subprocess.run([npm, "ci", "--silent", "--no-audit", "--no-fund", "--ignore-scripts"], cwd=HERE, check=True)
+    sources = [*(ROOT / "torch_orennayar").glob("*.py"), HERE / "make_graphs.py"]
+    done = HERE / "graphs" / "normal.png"  # the last file written
+    if not done.exists() or done.stat().st_mtime < max(s.stat().st_mtime for s in sources):
+        sys.path.insert(0, str(ROOT / "scripts"))
+        from environment import prepare as environment
+
+        subprocess.run([environment(), HERE / "make_graphs.py", HERE / "graphs"], check=True)
+
+
+def server(port: int) -> ThreadingHTTPServer:
+    """Bound to this machine; port 0 takes a free one."""
+    return ThreadingHTTPServer(("127.0.0.1", port), partial(Handler, directory=str(HERE)))
+
+
+def main() -> None:
+    """Prepare, serve until Ctrl-C."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--port", type=int, default=8000)
+    parser.add_argument("--no-open", action="store_true", help="do not open a browser")
+    parser.add_argument("--prepare", action="store_true", help="fetch and export, then leave")
+    options = parser.parse_args()
+    prepare()
+    if options.prepare:
+        return
+    try:
+        page = server(options.port)
+    except OSError as error:
+        sys.exit(f"port {options.port} is not free ({error.strerror}): try --port {options.port + 1}")
+    address = f"http://localhost:{page.server_address[1]}/"
+    print(f"{address}   (Ctrl-C ends)", flush=True)
+    if not options.no_open:
+        webbrowser.open(address)
+    try:
+        page.serve_forever()
+    except KeyboardInterrupt:
+        print()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,11 @@
+// Long graphs run here, so that the page stays awake.
+
+import { run } from "./graphs.js";
+
+self.onmessage = async ({ data: { id, name, feeds } }) => {
+  try {
+    self.postMessage({ id, found: await run(name, feeds) });
+  } catch (error) {
+    self.postMessage({ id, error: error.message });
+  }
+};

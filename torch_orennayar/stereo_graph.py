@@ -1,0 +1,377 @@
+"""Photometric stereo in a fixed number of closed-form steps, and its ONNX graph.
+
+What a graph can do: weighted linear least squares, again and again, with the weights and the reflectance of the answer
+before. No search, no neighbours and no highlights: `photometric_stereo` does better, where torch is to be had.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from ._robust_fit import solve_symmetric
+from .evaluation import above_horizon, facing_both
+from .reflectance import ModelFunction, get_model
+from .shading_graph import OPSET, Nodes, write_graph
+
+if TYPE_CHECKING:
+    import onnx
+
+STEREO_INPUTS = ("images", "lights", "mask")
+STEREO_OUTPUTS = ("normal", "albedo", "roughness")
+CANDIDATES = tuple(math.radians(7.5 * k) for k in range(9))
+"""Roughnesses that are tried."""
+SAMPLES = 1024
+"""Pixels that choose among them."""
+MARGIN = 0.98
+"""A rough surface must predict the pixels better than Lambert by this factor."""
+TURNS = 5
+"""Times that reflectance and noise are worked out again, with two solutions each."""
+NEAR = 0.05
+"""Weight of the solution before, as a share of that of all lights."""
+CAP, NOISE_FLOOR = 0.15, 0.01
+"""Shares of a pixel's mean: errors count up to the one, and noise is at least the other."""
+
+
+class Prepare(nn.Module):
+    """Pixels seen (P, C, K) as grey in units of their mean, (P, K), and that mean, (P, 1)."""
+
+    def forward(self, seen: Tensor) -> tuple[Tensor, Tensor]:
+        """Grey decides on the normal."""
+        grey = seen.mean(1)
+        level = grey.mean(1, keepdim=True).clamp_min(1e-12)
+        return grey / level, level
+
+
+class Begin(nn.Module):
+    """Weights of the middle ranks, (P, K), and albedo times normal in units of the mean, (P, 3)."""
+
+    def forward(self, grey: Tensor, lights: Tensor) -> tuple[Tensor, Tensor]:
+        """Lambert's surface, trimmed."""
+        middle = _middle(grey)
+        facing = torch.ones_like(grey[:, :1]) * grey.new_tensor((0.0, 0.0, 1.0))
+        return middle, _least_squares(grey, lights, middle, torch.ones_like(grey), facing)
+
+
+class Turn(nn.Module):
+    """Reflectance and noise worked out again, then two reweighted solutions."""
+
+    def __init__(self, function: ModelFunction) -> None:
+        super().__init__()
+        self.function = function
+
+    def forward(
+        self, grey: Tensor, level: Tensor, lights: Tensor, roughness: Tensor, middle: Tensor, vector: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """The vector (P, 3) and the weights (P, K) that gave it."""
+        ratio = _ratio(self.function, vector, level, lights, roughness)
+        wrong = (grey - ratio * _lambert(vector, lights)).abs().sort(1)[0]
+        noise = (1.4826 * _quantile(wrong, torch.full_like(level[:1], 0.5))).clamp_min(NOISE_FLOOR)
+        weight = middle
+        for _ in range(2):
+            weight = middle / (1 + ((grey - ratio * _lambert(vector, lights)) / (2 * noise)) ** 2) ** 2
+            vector = _least_squares(grey, lights, weight, ratio, vector)
+        return vector, weight
+
+
+class Sample(nn.Module):
+    """Some pixels with every candidate roughness: grey (N S, K), level and roughness (N S, 1)."""
+
+    def forward(self, grey: Tensor, level: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Evenly from the whole object."""
+        some = torch.arange(SAMPLES, device=grey.device) * grey.shape[0] // SAMPLES
+        count = len(CANDIDATES)
+        roughness = grey.new_tensor(CANDIDATES)[:, None].expand(count, SAMPLES).reshape(-1, 1)
+        return grey[some].repeat(count, 1), level[some].repeat(count, 1), roughness
+
+
+class Choose(nn.Module):
+    """The roughness that explains the samples best, (1, 1); 0 where none is better than Lambert by a margin."""
+
+    def __init__(self, function: ModelFunction) -> None:
+        super().__init__()
+        self.function = function
+
+    def forward(self, grey: Tensor, level: Tensor, lights: Tensor, roughness: Tensor, vector: Tensor) -> Tensor:
+        """Between the best candidate and its neighbours, where a parabola is lowest."""
+        shown = _ratio(self.function, vector, level, lights, roughness) * _lambert(vector, lights)
+        lit, count = _lit(grey), len(CANDIDATES)
+        wrong = (lit * (grey - shown).abs().clamp_max(CAP)).sum(1) / lit.sum(1).clamp_min(1.0)
+        score = wrong.reshape(count, SAMPLES).mean(1)
+        best = score.argmin(0).clamp(1, count - 2)
+        below, here, above = (score[(best + k).reshape(1)] for k in (-1, 0, 1))
+        bend = (below - 2 * here + above).clamp_min(1e-9)
+        found = (best + (0.5 * (below - above) / bend).clamp(-1.0, 1.0)) * CANDIDATES[1]
+        return (found * (score.amin(0) < MARGIN * score[0])).reshape(1, 1)
+
+
+class Finish(nn.Module):
+    """Normals (P, 3) and the albedo of every channel (P, C), by weighted least squares on the shading."""
+
+    def __init__(self, function: ModelFunction) -> None:
+        super().__init__()
+        self.function = function
+
+    def forward(
+        self, seen: Tensor, level: Tensor, lights: Tensor, roughness: Tensor, vector: Tensor, weight: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Grey's normal; albedo in the unit of ``seen``."""
+        normal = _upward(vector)
+        ci, co = (normal @ lights.T)[:, None], normal[:, None, 2:]
+        albedo = (vector.norm(dim=1, keepdim=True) * level)[:, :, None].expand(-1, seen.shape[1], 1)
+        for _ in range(3):
+            held = albedo.clamp(1e-4, 1.0)
+            value = above_horizon(self.function, ci, co, lights[:, 2], held, roughness[:, :, None])
+            shown = torch.where(facing_both(ci, co), value / held * ci, 0.0)
+            pull = weight[:, None] * shown
+            albedo = (pull * seen).sum(2, keepdim=True) / (pull * shown).sum(2, keepdim=True).clamp_min(1e-9)
+        return normal, albedo[:, :, 0].clamp_min(0.0)
+
+
+def solve_closed_form(images: Tensor, lights: Tensor, mask: Tensor, model: str) -> tuple[Tensor, Tensor, Tensor]:
+    """What the graph computes: ``images`` (K, C, H, W), ``lights`` (K, 3), ``mask`` (1, H, W) in, maps out."""
+    inside, function = mask[0], get_model(model).function
+
+    def solve(grey: Tensor, level: Tensor, roughness: Tensor) -> tuple[Tensor, Tensor]:
+        middle, vector = Begin()(grey, lights)
+        weight = middle
+        for _ in range(TURNS):
+            vector, weight = Turn(function)(grey, level, lights, roughness, middle, vector)
+        return vector, weight
+
+    seen = images[:, :, inside].permute(2, 1, 0)
+    grey, level = Prepare()(seen)
+    roughness = torch.zeros_like(level)
+    if model != "lambert":
+        few, few_level, tried = Sample()(grey, level)
+        vector, _ = solve(few, few_level, tried)
+        roughness = roughness + Choose(function)(few, few_level, lights, tried, vector)
+    vector, weight = solve(grey, level, roughness)
+    found = *Finish(function)(seen, level, lights, roughness, vector, weight), roughness
+    maps = [images.new_zeros(values.shape[1], *inside.shape) for values in found]
+    for drawn, values in zip(maps, found, strict=True):
+        drawn[:, inside] = values.T
+    return maps[0], maps[1], maps[2]
+
+
+def stereo_graph(model: str) -> onnx.ModelProto:
+    """The graph: pixels of the mask are gathered, solved in the steps above and laid out again; all axes dynamic."""
+    import numpy as np
+    from onnx import TensorProto, helper, numpy_helper
+
+    function, parts = get_model(model).function, Parts()
+    add = Nodes("")
+    flat = add("Reshape", "mask", "all")
+    place = add("Squeeze", add("NonZero", flat), "zero")
+    seen = add("Transpose", add("Gather", add("Reshape", "images", "keep_two"), place, axis=2), perm=[2, 1, 0])
+    turn = parts.trace(Turn(function), ("grey", "level", "lights", "roughness", "middle", "vector"), 2)
+    begin = parts.trace(Begin(), ("grey", "lights"), 2)
+
+    def solve(grey: str, level: str, roughness: str, prefix: str) -> list[str]:
+        middle, vector = parts.inline(add, begin, f"{prefix}begin_", (grey, "lights"))
+        return _loop(add, parts, turn, f"{prefix}turn_", (grey, level, "lights", roughness, middle, vector))
+
+    grey, level = parts.inline(add, parts.trace(Prepare(), ("seen",), 2), "prepare_", (seen,))
+    roughness = add("Mul", level, "nothing")
+    if model != "lambert":
+        few, few_level, tried = parts.inline(add, parts.trace(Sample(), ("grey", "level"), 3), "sample_", (grey, level))
+        vector, _ = solve(few, few_level, tried, "few_")
+        choose = parts.trace(Choose(function), ("grey", "level", "lights", "roughness", "vector"), 1)
+        (best,) = parts.inline(add, choose, "choose_", (few, few_level, "lights", tried, vector))
+        roughness = add("Add", roughness, best)
+    vector, weight = solve(grey, level, roughness, "")
+    finish = parts.trace(Finish(function), ("seen", "level", "lights", "roughness", "vector", "weight"), 2)
+    normal, albedo = parts.inline(add, finish, "finish_", (seen, level, "lights", roughness, vector, weight))
+
+    # Back into the picture: every pixel looks up its row, pixels outside get 0.
+    row = add("Max", add("Sub", add("CumSum", add("Cast", flat, to=TensorProto.INT64), "axis"), "one"), "zero")
+    inside, area = add("Unsqueeze", flat, "one"), add("Shape", "mask", start=1)
+    for name, values in zip(STEREO_OUTPUTS, (normal, albedo, roughness), strict=True):
+        laid = add("Transpose", add("Where", inside, add("Gather", values, row), "nothing"), perm=[1, 0])
+        sizes = add("Concat", add("Shape", laid, end=1), area, axis=0)
+        add.nodes.append(helper.make_node("Reshape", [laid, sizes], [name], name=f"lay_{name}"))
+
+    constants = {"all": [-1], "keep_two": [0, 0, -1], "zero": [0], "one": [1], "axis": 0, "turns": TURNS}
+    held = [numpy_helper.from_array(np.asarray(v, dtype=np.int64), n) for n, v in constants.items()]
+    held.append(numpy_helper.from_array(np.zeros(1, np.float32), "nothing"))
+    signature = [
+        helper.make_tensor_value_info("images", TensorProto.FLOAT, ["lights", "channels", "height", "width"]),
+        helper.make_tensor_value_info("lights", TensorProto.FLOAT, ["lights", 3]),
+        helper.make_tensor_value_info("mask", TensorProto.BOOL, [1, "height", "width"]),
+    ]
+    results = [
+        helper.make_tensor_value_info(name, TensorProto.FLOAT, [channels, "height", "width"])
+        for name, channels in zip(STEREO_OUTPUTS, (3, "channels", 1), strict=True)
+    ]
+    graph = helper.make_graph(add.nodes, "stereo", signature, results, [*held, *parts.initializers])
+    opsets = [helper.make_opsetid("", OPSET)]
+    return helper.make_model(graph, opset_imports=opsets, ir_version=helper.find_min_ir_version_for(opsets))
+
+
+def _loop(add: Nodes, parts: Parts, turn: onnx.ModelProto, prefix: str, given: Sequence[str]) -> list[str]:
+    """``TURNS`` turns; vector and weight go round, all else is seen from outside."""
+    from onnx import TensorProto, helper
+
+    *fixed, middle, vector = given
+    inner = Nodes(prefix)
+    found = parts.inline(inner, turn, prefix, (*fixed, middle, f"{prefix}vector"))
+    go_on = inner("Identity", f"{prefix}go_on")
+
+    def value(name: str, kind: int = TensorProto.FLOAT, shape: list[object] | None = None) -> Any:
+        return helper.make_tensor_value_info(name, kind, shape)
+
+    names = (f"{prefix}vector", f"{prefix}weight")
+    body = helper.make_graph(
+        inner.nodes,
+        f"{prefix}body",
+        [
+            value(f"{prefix}index", TensorProto.INT64, []),
+            value(f"{prefix}go_on", TensorProto.BOOL, []),
+            *map(value, names),
+        ],
+        [value(go_on, TensorProto.BOOL, []), *map(value, found)],
+    )
+    answers = [f"{prefix}last_vector", f"{prefix}last_weight"]
+    add.nodes.append(helper.make_node("Loop", ["turns", "", vector, middle], answers, name=f"{prefix}loop", body=body))
+    return answers
+
+
+class Parts:
+    """Modules traced one by one, and their constants once they are part of a graph."""
+
+    def __init__(self) -> None:
+        self.initializers: list[Any] = []
+
+    def trace(self, module: nn.Module, names: Sequence[str], outputs: int) -> onnx.ModelProto:
+        """The graph of one step; pixels, channels and lights are dynamic."""
+        pixels, channels, count = (torch.export.Dim(n) for n in ("pixels", "channels", "count"))
+        lights = F.normalize(torch.rand(7, 3) + torch.tensor([0.0, 0, 1]), dim=1)
+        whole = isinstance(module, Choose)  # its pixels are a fixed number of samples
+        rows = len(CANDIDATES) * SAMPLES if whole else 11
+        row: dict[int, object] = {} if whole else {0: pixels}
+        examples: dict[str, tuple[Tensor, dict[int, object]]] = {
+            "seen": (torch.rand(rows, 3, 7), row | {1: channels, 2: count}),
+            "lights": (lights, {0: count}),
+            "vector": (torch.rand(rows, 3), row),
+            **{n: (torch.rand(rows, 7), row | {1: count}) for n in ("grey", "middle", "weight")},
+            **{n: (torch.rand(rows, 1), row) for n in ("level", "roughness")},
+        }
+        return write_graph(
+            module.eval,
+            tuple(examples[n][0] for n in names),
+            (names, [f"found_{k}" for k in range(outputs)]),
+            {n: examples[n][1] for n in names},
+            ("model", "a reflectance function that torch.onnx can export"),
+            "build it from element-wise torch operations without Python branches on values",
+        )
+
+    def inline(self, add: Nodes, traced: onnx.ModelProto, prefix: str, given: Sequence[str]) -> list[str]:
+        """Copy the nodes of ``traced`` in, fed with ``given``; the names of what they find."""
+        import onnx
+
+        graph = traced.graph
+        names = dict(zip((v.name for v in graph.input), given, strict=True)) | {"": ""}
+        for node in graph.node:
+            copied = onnx.NodeProto()
+            copied.CopyFrom(node)
+            for listed in (copied.input, copied.output):
+                for k, name in enumerate(listed):
+                    listed[k] = names.get(name, f"{prefix}{name}")
+            copied.name = f"{prefix}{node.name}"
+            add.nodes.append(copied)
+        for value in graph.initializer:
+            held = onnx.TensorProto()
+            held.CopyFrom(value)
+            held.name = f"{prefix}{value.name}"
+            self.initializers.append(held)
+        return [f"{prefix}{value.name}" for value in graph.output]
+
+
+def stereo_trials() -> list[tuple[Tensor, ...]]:
+    """Rough and smooth balls under few and many lights, with noise, to try a graph on."""
+    from .calibrate import Ball
+    from .demo import spiral_lights
+    from .shading import oren_nayar
+
+    trials: list[tuple[Tensor, ...]] = []
+    generator = torch.Generator().manual_seed(0)
+    for count, channels, size, roughness in ((3, 1, 24, 0.0), (5, 2, 20, 0.0), (24, 3, 40, 0.5), (13, 1, 33, 0.9)):
+        normal, mask = Ball(size / 2, size / 2, 0.45 * size).normals((size, size + 5))
+        lights = spiral_lights(count, math.radians(45))
+        albedo = torch.linspace(0.3, 0.8, channels).reshape(1, -1, 1, 1)
+        images = oren_nayar(
+            normal[None], lights[:, :, None, None], torch.tensor([0.0, 0, 1]).reshape(1, 3, 1, 1), albedo, roughness
+        )
+        images = images * (1 + 0.01 * torch.randn(images.shape, generator=generator))
+        trials.append((images.contiguous(), lights, mask))
+    return trials
+
+
+def _ratio(function: ModelFunction, vector: Tensor, level: Tensor, lights: Tensor, roughness: Tensor) -> Tensor:
+    """What is seen over what Lambert would show, (P, K)."""
+    normal = _upward(vector)
+    albedo = (vector.norm(dim=1, keepdim=True) * level).clamp(1e-4, 1.0)
+    ci, co = normal @ lights.T, normal[:, 2:]
+    value = above_horizon(function, ci, co, lights[:, 2][None], albedo, roughness)
+    return torch.where(facing_both(ci, co), value / albedo, 1.0).clamp(0.1, 10.0)
+
+
+def _lambert(vector: Tensor, lights: Tensor) -> Tensor:
+    """Lambert's shading, (P, K)."""
+    return (vector @ lights.T).clamp_min(0.0)
+
+
+def _least_squares(grey: Tensor, lights: Tensor, weight: Tensor, ratio: Tensor, near: Tensor) -> Tensor:
+    """The vector b with ``grey = ratio (l.b)`` in the weighted mean, (P, 3), not far from ``near``.
+
+    The pull to ``near`` is what keeps pixels that too few lights reach from being anything; where the lights
+    suffice it dies out from one solution to the next.
+    """
+    pairs = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+    products = torch.stack([lights[:, i] * lights[:, j] for i, j in pairs], 1)
+    pull = weight * ratio
+    xx, xy, xz, yy, yz, zz = ((pull * ratio) @ products).split(1, dim=1)
+    hold = NEAR * (xx + yy + zz) + 1e-9
+    rows = ((xx + hold, xy, xz), (xy, yy + hold, yz), (xz, yz, zz + hold))
+    x, y, z = ((pull * grey) @ lights + hold * near).split(1, dim=1)
+    return torch.cat(solve_symmetric(rows, (x, y, z)), 1)
+
+
+def _upward(vector: Tensor) -> Tensor:
+    """Unit and toward the viewer; straight at the viewer where nothing was seen."""
+    length = vector.norm(dim=1, keepdim=True)
+    x, y, z = (vector / length.clamp_min(1e-9)).split(1, dim=1)
+    z = torch.where(length > 1e-9, z.clamp_min(0.02), 1.0)
+    return F.normalize(torch.cat((x, y, z), 1), dim=1)
+
+
+def _lit(grey: Tensor) -> Tensor:
+    """1 where a light reaches a pixel, 0 in shadow, without a step between."""
+    bright = _quantile(grey.sort(1)[0], torch.full_like(grey[:1, :1], 0.9)).clamp_min(1e-9)
+    return ((grey / bright - 0.06) / 0.04).clamp(0.0, 1.0)
+
+
+def _middle(grey: Tensor) -> Tensor:
+    """1 for the middle ranks, less the further outside and 0 in shadow; with few lights all of them are needed."""
+    ordered = grey.sort(1)[0]
+    count = torch.ones_like(grey[:1]).sum(1, keepdim=True)
+    cut = 0.2 * ((count - 6) / 6).clamp(0.0, 1.0)
+    low, high = _quantile(ordered, cut), _quantile(ordered, 1 - cut)
+    outside = torch.maximum(low - grey, grey - high).clamp_min(0.0)
+    return (1 - outside / (0.1 * (high - low)).clamp_min(1e-6)).clamp(0.0, 1.0) * _lit(grey)
+
+
+def _quantile(ordered: Tensor, share: Tensor) -> Tensor:
+    """Between the two nearest ranks, (P, 1); ``share`` is (1, 1)."""
+    last = torch.ones_like(ordered[:1]).sum(1, keepdim=True) - 1
+    place = share * last
+    low = place.floor()
+    high = torch.minimum(low + 1, last)
+    count = ordered.shape[0]
+    below, above = (ordered.gather(1, rank.long().expand(count, 1)) for rank in (low, high))
+    return below + (place - low) * (above - below)

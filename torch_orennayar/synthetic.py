@@ -1,0 +1,222 @@
+"""Synthetic captures with the truth, as many as a training loop wants: pixels alone, or rendered pictures."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Iterator, Sequence
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+from torch.utils.data import IterableDataset, get_worker_info
+
+from .camera import Camera
+from .errors import RangeError
+from .mesh import normalise_mesh
+from .render import render_normals
+from .shadow import cast_shadows
+from .synthetic_pixels import (
+    Draw,
+    Ingredients,
+    draw_lights,
+    draw_material,
+    draw_normals,
+    sense,
+    shade_pixels,
+    tell_lights,
+)
+
+Mesh = tuple[Tensor, Tensor]
+
+
+class SyntheticCaptures(IterableDataset[dict[str, Tensor]]):
+    """Endless captures for training, each made from its index alone: the same with any number of workers and ranks.
+
+    ``"pixels"``: ``observed`` (P, K), grey, ``lights`` (P, K, 3), ``normal`` (P, 3); every pixel has a material,
+    shadows and lights of its own. ``"images"``: ``images`` (K, 3, H, W), ``lights`` (K, 3), ``mask`` (1, H, W) bool,
+    ``normal`` (3, H, W), ``albedo`` (3, H, W), ``roughness`` (1, H, W) radians: one mesh, seen by a random camera, in
+    one textured material, with cast shadows. Light is linear, directions are in the camera frame.
+
+    Workers of a `DataLoader` and ranks of a process group share the indices among themselves.
+
+    Args:
+        kind: ``"pixels"`` or ``"images"``.
+        seed: of everything.
+        start: index of the first capture.
+        length: number of captures, over all ranks; default endless.
+        mix: what captures are made of; `Ingredients`.
+        lights: fewest and most lights.
+        observations: P times K of ``"pixels"``, about.
+        size: (H, W) of ``"images"``.
+        meshes: (vertices, faces) of ``"images"``; default: bumpy balls, rings and heaps of balls.
+        device: where captures are made.
+        rank: of this process; default: of the process group, or 0.
+        world: number of processes; the same.
+
+    Raises:
+        RangeError: an unknown kind, fewer than 3 lights, or a rank that is not below ``world``.
+
+    Example:
+        >>> import torch_orennayar as ton
+        >>> sample = next(iter(ton.SyntheticCaptures("pixels", seed=1)))
+        >>> sample["observed"].shape == sample["lights"].shape[:2]
+        True
+    """
+
+    def __init__(
+        self,
+        kind: str = "pixels",
+        *,
+        seed: int = 0,
+        start: int = 0,
+        length: int | None = None,
+        mix: Ingredients | None = None,
+        lights: tuple[int, int] = (12, 100),
+        observations: int = 12_288,
+        size: tuple[int, int] = (64, 64),
+        meshes: Sequence[Mesh] | None = None,
+        device: torch.device | str = "cpu",
+        rank: int | None = None,
+        world: int | None = None,
+    ) -> None:
+        if kind not in ("pixels", "images"):
+            raise RangeError("kind", expected="'pixels' or 'images'", got=repr(kind), mend="choose one")
+        if not 3 <= lights[0] <= lights[1]:
+            raise RangeError("lights", expected="fewest and most, 3 or more", got=str(lights), mend="put them in order")
+        self.kind, self.seed, self.start, self.length = kind, seed, start, length
+        self.mix, self.lights, self.observations, self.size = mix or Ingredients(), lights, observations, size
+        self.meshes, self.device = meshes, torch.device(device)
+        grouped = torch.distributed.is_available() and torch.distributed.is_initialized()
+        self.rank = rank if rank is not None else torch.distributed.get_rank() if grouped else 0
+        self.world = world if world is not None else torch.distributed.get_world_size() if grouped else 1
+        if not 0 <= self.rank < self.world:
+            raise RangeError("rank", expected=f"0 to {self.world - 1}", got=str(self.rank), mend="count from 0")
+
+    def __iter__(self) -> Iterator[dict[str, Tensor]]:
+        worker = get_worker_info()
+        first, step = self.rank, self.world
+        if worker is not None:
+            first, step = first + worker.id * self.world, step * worker.num_workers
+        index = first
+        while self.length is None or index < self.length:
+            yield self.sample(self.start + index)
+            index += step
+
+    @torch.no_grad()
+    def sample(self, index: int) -> dict[str, Tensor]:
+        """Capture number ``index``."""
+        digest = hashlib.blake2b(f"{self.kind} {self.seed} {index}".encode(), digest_size=8).digest()
+        draw = Draw(int.from_bytes(digest, "big") >> 1, self.device)
+        count = self._count(draw)
+        return self._pixels(draw, count) if self.kind == "pixels" else self._images(draw, count)
+
+    def _count(self, draw: Draw) -> int:
+        """Lights: half the time any number, few as likely as many, otherwise many."""
+        fewest, most = self.lights
+        low = fewest if draw.uniform(1).item() < 0.5 else max(fewest, int(0.6 * most))
+        return min(most, int(draw.logarithmic(1, low=low, high=most + 1).item()))
+
+    def _pixels(self, draw: Draw, count: int) -> dict[str, Tensor]:
+        pixels = max(1, self.observations // count)
+        lights, normal = draw_lights(draw, pixels, count), draw_normals(draw, pixels)
+        observed = sense(draw, shade_pixels(draw, normal, lights, self.mix), self.mix)
+        return {"observed": observed, "lights": tell_lights(draw, lights, self.mix), "normal": normal}
+
+    def _images(self, draw: Draw, count: int) -> dict[str, Tensor]:
+        mix = self.mix
+        vertices, faces = self._mesh(draw)
+        camera = _camera(draw)
+        seen = render_normals(vertices, faces, camera, self.size)
+        mask, normal = seen.mask[0], seen.normal[0]
+        inside = mask[0]
+        lights = draw_lights(draw, 1, count)[0]
+        points = normal[:, inside].T
+        view = camera.view_directions(self.size)[0].expand(3, *self.size)[:, inside].T
+        ci, co = points @ lights.T, (points * view).sum(1, keepdim=True)
+        facing = (ci > 0) & (co > 0)
+        held = ci.clamp_min(1e-3)
+        # One material; its grey albedo is painted over with a texture afterwards.
+        material = draw_material(draw, 1, mix)
+        shown = torch.where(
+            facing, material.reflect(held, co.clamp_min(0.05).expand_as(ci), view @ lights.T) * held, 0.0
+        )
+        texture = _texture(draw, self.size)
+        colours = texture[:, inside].T[:, :, None] * shown[:, None]  # (P, 3, K)
+        if mix.shadows:
+            reached = cast_shadows(vertices, faces, seen, lights, resolution=4 * max(self.size))
+            colours = colours * reached[:, 0, inside].T[:, None]
+        level = colours.mean().clamp_min(1e-6)
+        colours = colours + draw.uniform(1, high=mix.ambient) * level
+        noisy = _sense_picture(draw, colours, mix)
+        images = torch.zeros(count, 3, *self.size, device=self.device)
+        images[:, :, inside] = noisy.permute(2, 1, 0)
+        return {
+            "images": images,
+            "lights": tell_lights(draw, lights[None], mix)[0],
+            "mask": mask,
+            "normal": normal,
+            "albedo": texture * mask,
+            "roughness": material.roughness.reshape(1, 1, 1) * mask,
+        }
+
+    def _mesh(self, draw: Draw) -> Mesh:
+        """One of the given meshes, or one made up, turned at random."""
+        if self.meshes:
+            choice = min(int(draw.uniform(1).item() * len(self.meshes)), len(self.meshes) - 1)
+            vertices, faces = (part.to(self.device) for part in self.meshes[choice])
+        else:
+            vertices, faces = _made_mesh(draw)
+        turn = torch.linalg.qr(draw.normal(3, 3).cpu())[0].to(vertices)
+        turn = turn * torch.linalg.det(turn.cpu()).sign().to(turn)
+        return normalise_mesh(vertices @ turn), faces
+
+
+def _camera(draw: Draw) -> Camera:
+    """Looks at the unit sphere; half of them from so near that it shows."""
+    if draw.uniform(1).item() < 0.5:
+        return Camera.orthographic(1.0)
+    field = math.radians(draw.uniform(1, low=15, high=45).item())
+    return Camera.perspective(field, eye=(0.0, 0.0, 1.0 / math.sin(field / 2)))
+
+
+def _made_mesh(draw: Draw) -> Mesh:
+    """A bumpy ball, a bumpy ring, or a heap of balls."""
+    import trimesh
+
+    kind = int(draw.uniform(1).item() * 3)
+    if kind == 2:
+        parts = []
+        for _ in range(4):
+            x, y, z, radius = draw.uniform(4, low=-0.5, high=0.5).tolist()
+            parts.append(trimesh.creation.icosphere(3, radius=0.3 + 0.3 * abs(radius)).apply_translation((x, y, z)))
+        mesh = trimesh.util.concatenate(parts)
+    else:
+        mesh = trimesh.creation.icosphere(4) if kind == 0 else trimesh.creation.torus(0.65, 0.3)
+    vertices = torch.tensor(mesh.vertices, dtype=torch.float32, device=draw.device)
+    waves = draw.normal(6, 3) * draw.uniform(6, 1, low=1, high=6)
+    push = (torch.sin(vertices @ waves.T + draw.uniform(6, high=6.3)) * draw.uniform(6, low=0.0, high=0.05)).sum(1)
+    return vertices * (1 + push[:, None]), torch.tensor(mesh.faces, device=draw.device)
+
+
+def _texture(draw: Draw, size: tuple[int, int]) -> Tensor:
+    """Colours (3, H, W) that change slowly, or not at all."""
+    cells = 1 if draw.uniform(1).item() < 0.4 else int(draw.uniform(1, low=2, high=8).item())
+    grid = draw.uniform(1, 3, cells, cells, low=0.2, high=0.95)
+    return (
+        F.interpolate(grid, size=size, mode="bilinear", align_corners=True)[0]
+        if cells > 1
+        else grid[0].expand(3, *size)
+    )
+
+
+def _sense_picture(draw: Draw, colours: Tensor, mix: Ingredients) -> Tensor:
+    """A camera's view of colours (P, 3, K): lights a little wrong, noise, steps."""
+    count = colours.shape[2]
+    top = colours.flatten().quantile(0.999) if colours.numel() < 2**23 else colours.amax()
+    seen = colours / top.clamp_min(1e-9) * (1 + mix.intensity_error * draw.normal(1, 1, count))
+    share, floor = (draw.uniform(1, high=most) for most in mix.noise)
+    noise = draw.normal(*colours.shape), draw.normal(*colours.shape)
+    seen = seen * (1 + share * noise[0]) + 0.3 * floor * noise[1]
+    steps = 2 ** draw.uniform(1, low=mix.bits[0], high=mix.bits[1])
+    return (seen.clamp(0, 1) * steps).round() / steps
