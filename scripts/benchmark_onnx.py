@@ -25,7 +25,6 @@ from typing import Any
 
 import onnxruntime
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 
 import torch_orennayar as ton

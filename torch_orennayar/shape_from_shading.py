@@ -45,15 +45,17 @@ def shape_from_shading(
     depth: Tensor | None = None,
     known: Tensor | None = None,
     smoothness: float = 0.05,
+    silhouette: float = 0.1,
 ) -> Reconstruction:
     """Find the surface whose shading is the picture, under one known light.
 
     The unknown is depth, so the surface is integrable; its shading comes from the layer itself. The search goes from
     coarse to fine by L-BFGS. Priors, all of them mild: neighbouring normals are alike (``smoothness``); with
     ``contour`` the mask's edge is where the surface turns away from the viewer, so normals point outward there;
-    pixels whose brightness no surface explains (cast shadows, highlights) count less. It starts from the inflated
-    silhouette; without a contour from a plane, and then the mean normal is drawn to the view; from ``depth`` it starts
-    at full size.
+    pixels whose brightness no surface explains (cast shadows, highlights) count less. A picture that stays unexplained
+    as a whole (paint, light from the surroundings) is trusted less, and the normals of the inflated silhouette more
+    (``silhouette``). It starts from the inflated silhouette; without a contour from a plane, and then the mean normal
+    is drawn to the view; from ``depth`` it starts at full size.
 
     What one picture does not tell is reported, not hidden: a light near the view shows dents and bumps alike, albedo
     and roughness trade against slope and each other when they are estimated, and without a contour or known depths
@@ -71,6 +73,8 @@ def shape_from_shading(
         depth: (1, H, W) or (B, 1, H, W) where to start, finite inside the mask, in the unit of the result.
         known: the same shape, a few depths that are known, NaN elsewhere. In perspective they set the scale.
         smoothness: weight of bends of the normals against squared brightness.
+        silhouette: weight of the inflated silhouette's normals in a picture that is not understood at all; 0 trusts the
+            picture alone.
 
     Returns:
         A `Reconstruction` with depth: without a camera height toward the viewer in pixels, mean 0; with one distance
@@ -107,13 +111,22 @@ def shape_from_shading(
         return _solve_batch(
             image,
             {"light": light, "mask": mask, "albedo": albedo, "roughness": roughness, "depth": depth, "known": known},
-            {"model": model, "contour": contour, "camera": camera, "smoothness": smoothness},
+            {
+                "model": model,
+                "contour": contour,
+                "camera": camera,
+                "smoothness": smoothness,
+                "silhouette": silhouette,
+            },
         )
     inside = _check(image, light, mask, {"depth": depth, "known": known})
-    wish = Wish(model, contour, smoothness, albedo is None, roughness is None)
+    wish = Wish(model, contour, smoothness, silhouette, albedo is None, roughness is None)
     scene = _scene(image, light, inside, albedo, roughness, known, camera)
+    height = _start(scene, depth, camera, contour)
+    if contour and depth is None:
+        scene = replace(scene, likely=surface_fit.normals(height, None, 1.0))
     start = Surface(
-        _start(scene, depth, camera, contour),
+        height,
         _logit(scene.albedo.mean() / (surface_fit.WHITEST * scene.unit)),
         _logit(scene.roughness.mean() / surface_fit.ROUGHEST),
     )
@@ -165,7 +178,22 @@ def _scene(
         roughness=chart(roughness, START_ROUGHNESS),
         known=torch.where(inside, heights, torch.nan),
         pixel=pixel,
+        likely=None,
+        noise=_noise(values / unit, inside),
     )
+
+
+def _noise(image: Tensor, inside: Tensor) -> float:
+    """Variance of an image's noise, from second differences both ways, which smooth shading has none of.
+
+    Source: Immerkaer, Fast noise variance estimation, 1996, with a median for its mean.
+    """
+    kernel = image.new_tensor([[1.0, -2, 1], [-2, 4, -2], [1, -2, 1]]).reshape(1, 1, 3, 3) / 6
+    rough = torch.nn.functional.conv2d(image[:, None], kernel, padding=1)[:, 0].abs()
+    within = -torch.nn.functional.max_pool2d(-torch.nn.functional.pad(inside.to(image), (1, 1, 1, 1)), 3, 1) > 0
+    if not bool(within.any()):
+        return 0.0
+    return float((rough[:, within[0]].median() / 0.6745) ** 2)
 
 
 def _logit(share: Tensor) -> Tensor:

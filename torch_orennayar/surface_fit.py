@@ -37,6 +37,11 @@ UNLIT = 1.0
 """Weight that turns pixels which are bright in the picture into the light: shading itself has no slope there."""
 OUTLIER = 0.15
 """Residuals above this share of the picture's brightest light count less and less: cast shadows, highlights."""
+MISUNDERSTOOD = 0.03
+"""Share of the bright end that a picture must be off by, beyond its noise, for half the weight of the silhouette's
+normals: where reflectance explains the picture, they are not asked."""
+NEGLIGIBLE = 0.003
+"""A weight of them below which nothing is solved again."""
 ROUGHEST, WHITEST = 1.1, 4.0
 """Where an unknown roughness ends, radians, and an unknown albedo, times the picture's bright end."""
 KNOWN = 0.05
@@ -58,6 +63,8 @@ class Scene:
         roughness: (1, 1, 1) or (1, H, W).
         known: (1, H, W) heights, NaN where unknown.
         pixel: angle of a pixel, or 1.
+        likely: (3, H, W) normals of the inflated silhouette, or None where no contour tells them.
+        noise: variance of the picture's noise in units of ``unit``.
     """
 
     image: Tensor
@@ -70,6 +77,8 @@ class Scene:
     roughness: Tensor
     known: Tensor
     pixel: float
+    likely: Tensor | None
+    noise: float
 
     def halved(self) -> Scene:
         """Every four pixels as one; heights are halved with the pixels."""
@@ -93,6 +102,8 @@ class Scene:
             roughness=inside(self.roughness),
             known=known,
             pixel=self.pixel * (1 if self.rays is None else 2),
+            likely=None if self.likely is None else F.normalize(inside(self.likely), dim=0),
+            noise=self.noise / 4,
         )
 
 
@@ -118,6 +129,7 @@ class Wish:
     model: str
     contour: bool
     smoothness: float
+    silhouette: float
     free_albedo: bool
     free_roughness: bool
 
@@ -170,12 +182,17 @@ def fit(scene: Scene, start: Surface, wish: Wish, *, coarse: bool = True, show: 
     while coarse and min(scenes[-1].mask.shape[1:]) >= 2 * COARSEST:
         scenes.append(scenes[-1].halved())
     surface = start
-    cost = math.nan
+    cost, pull = math.nan, 0.0
     levels = list(reversed(scenes))
-    for level in track(levels, show, len(levels)) if show else levels:
+    for k, level in enumerate(track(levels, show, len(levels)) if show else levels):
         grown = surface.height.shape[1] - 1
         height = _resize(surface.height, _corners(level)) * (level.mask.shape[1] / grown)
-        surface, cost = _fit_level(level, Surface(height, surface.albedo, surface.roughness), wish)
+        surface = Surface(height, surface.albedo, surface.roughness)
+        surface, cost, left = _fit_level(level, surface, wish, pull)
+        if scene.likely is not None and k == max(len(levels) - 2, 0):  # fine enough to tell whether it is understood
+            pull = wish.silhouette * left**2 / (left**2 + MISUNDERSTOOD**4)
+            if pull > NEGLIGIBLE:
+                surface, cost, _ = _fit_level(level, surface, wish, pull)
     return surface, cost
 
 
@@ -197,8 +214,8 @@ def shade(scene: Scene, surface: Surface, normal: Tensor, wish: Wish) -> Tensor:
     return oren_nayar(normal[None], light, view, albedo[None], roughness[None], model=wish.model)[0]
 
 
-def _fit_level(scene: Scene, start: Surface, wish: Wish) -> tuple[Surface, float]:
-    """One size."""
+def _fit_level(scene: Scene, start: Surface, wish: Wish, pull: float) -> tuple[Surface, float, float]:
+    """One size: the surface, its cost per pixel, and the variance that it leaves beyond the picture's noise."""
     with torch.enable_grad():
         terms = _Terms.of(scene, wish)
         shapes = [tuple(start.height.shape[1:])]
@@ -226,7 +243,7 @@ def _fit_level(scene: Scene, start: Surface, wish: Wish) -> tuple[Surface, float
 
         def closure() -> Tensor:
             optimiser.zero_grad()
-            cost = terms.cost(now())
+            cost = terms.cost(now(), pull)
             cost.backward()
             return cost
 
@@ -234,8 +251,12 @@ def _fit_level(scene: Scene, start: Surface, wish: Wish) -> tuple[Surface, float
             optimiser.step(closure)
         with torch.no_grad():
             found = now()
-            cost = float(terms.cost(found) / scene.mask.sum().clamp_min(1))
-    return Surface(found.height.detach(), found.albedo.detach(), found.roughness.detach()), cost
+            pixels = scene.mask.sum().clamp_min(1)
+            cost = float(terms.cost(found, pull) / pixels)
+            missed = terms.missed(found, normals(found.height, scene.rays, scene.pixel))
+            beyond_noise = max(float(missed.sum() / pixels) - scene.noise, 0.0)
+    surface = Surface(found.height.detach(), found.albedo.detach(), found.roughness.detach())
+    return surface, cost, beyond_noise
 
 
 @contextmanager
@@ -286,13 +307,22 @@ class _Terms:
             bright,
         )
 
-    def cost(self, surface: Surface) -> Tensor:
-        """Sum over pixels: brightness missed, bends, contour, twist, pixels that should be lit, known heights."""
+    def missed(self, surface: Surface, normal: Tensor) -> Tensor:
+        """Squared brightness that is not explained, (1, H, W), in units of the bright end; outliers count less."""
+        missed = (shade(self.scene, surface, normal, self.wish) - self.scene.image) / self.scene.unit
+        missed = missed.square().mean(0, keepdim=True) * self.scene.mask
+        return missed / (1 + missed / OUTLIER**2)
+
+    def cost(self, surface: Surface, pull: float) -> Tensor:
+        """Sum over pixels: brightness missed, likely normals, bends, contour, twist, pixels to be lit, known heights.
+
+        ``pull`` weighs the normals of the inflated silhouette: as much as the reflectance leaves unexplained.
+        """
         scene, mask = self.scene, self.scene.mask
         normal = normals(surface.height, scene.rays, scene.pixel)
-        missed = (shade(scene, surface, normal, self.wish) - scene.image) / scene.unit
-        missed = missed.square().mean(0, keepdim=True) * mask
-        total = (missed / (1 + missed / OUTLIER**2)).sum()
+        total = self.missed(surface, normal).sum()
+        if scene.likely is not None and pull:
+            total = total + pull * ((normal - scene.likely).square() * mask).sum()
         bends = ((normal[:, :, 1:] - normal[:, :, :-1]).square() * self.across).sum()
         bends = bends + ((normal[:, 1:] - normal[:, :-1]).square() * self.along).sum()
         total = total + self.wish.smoothness * bends
