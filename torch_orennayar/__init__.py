@@ -33,6 +33,8 @@ from .shape_from_shading import shape_from_shading
 from .silhouette import antialias, face_neighbours
 from .specular import blinn_phong, microfacet, phong
 from .stereo import photometric_stereo
+from .synthetic import SyntheticCaptures
+from .synthetic_pixels import Ingredients
 
 __all__ = [
     "MODELS",
@@ -42,6 +44,7 @@ __all__ = [
     "CaptureError",
     "ExportError",
     "FileError",
+    "Ingredients",
     "Model",
     "ModelChoice",
     "ModelError",
@@ -50,6 +53,7 @@ __all__ = [
     "RangeError",
     "Reconstruction",
     "ShapeError",
+    "SyntheticCaptures",
     "TorchOrenNayarError",
     "__version__",
     "angular_error",
