@@ -14,6 +14,7 @@ from .bands import band_height, gather, gather_directions, solve_bands
 from .errors import CaptureError, RangeError, ShapeError
 from .evaluation import working_dtype
 from .material import Material, Rays
+from .network_stereo import NETWORK, TRAINED_LIGHTS, solve_network
 from .reconstruction import Reconstruction, stack
 from .reflectance import get_model
 from .selection import (
@@ -66,7 +67,8 @@ def photometric_stereo(
         lights: (K, 3) or (B, K, 3) unit directions to the lights, camera frame; of near lights maps of each
             pixel's directions, (K, 3, H, W) or (B, K, 3, H, W), as `near_light_stereo` makes them.
         mask: (1, H, W) or (B, 1, H, W) bool; default all pixels. Outside it images may hold anything.
-        model: ``"auto"`` or a name in ``MODELS``, which is then used without lobes.
+        model: ``"auto"``, a name in ``MODELS``, which is then used without lobes, or ``"network"``: normals by a small
+            network trained on made-up pixels (12 lights or more), with Lambert's albedo, solved in float32.
         robust: ``False`` is plain least squares over all observations, for ``"lambert"`` only.
         seed: picks the pixels and the held-out lights on which roughness and model are decided.
 
@@ -94,7 +96,7 @@ def photometric_stereo(
         ([0.0, 0.6, 0.8], 0.5)
     """
     check_floating(images=images, lights=lights)
-    if model != "auto":
+    if model not in ("auto", NETWORK):
         get_model(model)
     if not robust and model != "lambert":
         raise CaptureError(
@@ -110,7 +112,7 @@ def photometric_stereo(
     _check_lights(seen_by.typical(), report)
     scores: dict[str, float] = {}
     material, used, uncertain = Material(), "middle" if robust else "all", 0.0
-    if robust:
+    if robust and model != NETWORK:
         sample = gather(images, picked)
         if model == "auto":
             chosen = choose(sample, seen_by, seed)
@@ -123,7 +125,13 @@ def photometric_stereo(
             uncertain = _report_roughness(sample, seen_by, material, report)
         used = "middle" if model == "lambert" else "lit"
         _report_falloff(material, report)
-    maps = solve_bands(images, lights, inside, material, used)
+    if model == NETWORK:
+        report.append("normals by a network trained on made-up pixels; albedo is Lambert's under them.")
+        if len(images) < TRAINED_LIGHTS:
+            report.append(f"{len(images)} lights are fewer than the {TRAINED_LIGHTS} that it was trained on.")
+        maps = solve_network(images, lights, inside)
+    else:
+        maps = solve_bands(images, lights, inside, material, used)
     _report_doubts(dark, maps, len(images), material.model, report)
     hopeless = dark if len(images) > 3 else inside
     return Reconstruction(
