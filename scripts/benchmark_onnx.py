@@ -10,27 +10,23 @@ errors are against float64. Prints a table, writes onnx.json.
 from __future__ import annotations
 
 import argparse
-import importlib.util
 import json
-import shutil
 import statistics
 import tempfile
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import onnxruntime
 import torch
+from example_code import CAN_BROWSE, CHROMIUM, served_page
 from torch import Tensor
 
 import torch_orennayar as ton
 
 RUNS, WARM = 30, 5
-WEB = Path(__file__).resolve().parent.parent / "examples" / "web"
 IN_PAGE = """async ([name, side, runs]) => {
   const { run, threads } = await import('/graphs.js');
   const { normals } = await import('/benchmark_scene.js');
@@ -114,20 +110,14 @@ def in_browser(page: Any, model: str, side: int) -> tuple[str, float, float]:
 @contextmanager
 def pages() -> Iterator[list[Any]]:
     """The page with one thread and with all; nothing where a browser or npm is missing."""
-    chromium = shutil.which("chromium") or shutil.which("google-chrome")
-    if not chromium or not (shutil.which("npm") or (WEB / "node_modules").is_dir()):
+    if not CAN_BROWSE:
         print("no Chromium or npm: WASM is left out")
         yield []
         return
     from playwright.sync_api import sync_playwright
 
-    serve = _serve()
-    serve.prepare()
-    server = serve.server(0)
-    threading.Thread(target=server.serve_forever, daemon=True).start()
-    address = f"http://localhost:{server.server_address[1]}/"
-    with sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=chromium, args=["--no-sandbox", "--disable-gpu"])
+    with served_page() as address, sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"])
         found = []
         for single in (True, False):
             page = browser.new_page()
@@ -138,16 +128,6 @@ def pages() -> Iterator[list[Any]]:
             found.append(page)
         yield found
         browser.close()
-    server.shutdown()
-
-
-def _serve() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("serve", WEB / "serve.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 def main() -> None:

@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import base64
-import importlib.util
 import json
 import math
-import shutil
-import threading
 from collections.abc import Iterator
 from pathlib import Path
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import cv2
@@ -20,6 +16,7 @@ import pytest
 import torch
 import trimesh
 from conftest import Scene
+from example_code import CAN_BROWSE, CHROMIUM, WEB, served_page
 
 import torch_orennayar as ton
 from torch_orennayar.capture import save_capture
@@ -30,36 +27,17 @@ from torch_orennayar.stereo_graph import solve_closed_form
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
-WEB = Path(__file__).parent.parent / "examples" / "web"
-CHROMIUM = next(
-    (path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))), ""
-)
-pytestmark = pytest.mark.skipif(
-    not CHROMIUM or not (shutil.which("npm") or (WEB / "node_modules").is_dir()), reason="no Chromium or npm"
-)
+pytestmark = pytest.mark.skipif(not CAN_BROWSE, reason="no Chromium or npm")
 QUIET = (
     "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
     "--disable-component-update", "--disable-sync",
 )  # fmt: skip
 
 
-def serve_module() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("serve", WEB / "serve.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 @pytest.fixture(scope="module")
 def address() -> Iterator[str]:
-    serve = serve_module()
-    serve.prepare()
-    server = serve.server(0)
-    threading.Thread(target=server.serve_forever, daemon=True).start()
-    yield f"http://localhost:{server.server_address[1]}"
-    server.shutdown()
+    with served_page() as address:
+        yield address
 
 
 @pytest.fixture(scope="module")

@@ -138,7 +138,7 @@ def least_squares(grey: Tensor, rays: Rays) -> PixelFit:
     residual = (grey - dot(scaled, rays.light)).abs().mean(1, keepdim=True)
     spread = residual / albedo.clamp_min(torch.finfo(grey.dtype).tiny) * math.sqrt(2 / len(rays))
     return PixelFit(
-        _upward(scaled), albedo, grey.new_empty(len(grey), 0), torch.full_like(albedo, torch.inf), residual, spread
+        upward(scaled), albedo, grey.new_empty(len(grey), 0), torch.full_like(albedo, torch.inf), residual, spread
     )
 
 
@@ -255,7 +255,7 @@ def _fit_chunk(
         step = _bounded(matrix, right, lobes)
         turn = torch.stack(step[:2], 1)
         turn = turn * (0.25 / turn.norm(dim=1, keepdim=True).clamp_min(0.25))
-        normal = _upward(normal + tangents[0] * turn[:, :1] + tangents[1] * turn[:, 1:])
+        normal = upward(normal + tangents[0] * turn[:, :1] + tangents[1] * turn[:, 1:])
         albedo = (albedo + step[2][:, None]).clamp_min(1e-6)
         if count:
             lobes = (lobes + torch.stack(step[3:], 1)).clamp_min(0)
@@ -354,7 +354,7 @@ def _linear(grey: Tensor, rays: Rays, weight: Tensor) -> Tensor:
     return torch.stack(solve_symmetric(rows, list(((weight * grey)[:, None] @ light)[:, 0].T)), 1)
 
 
-def _upward(vector: Tensor) -> Tensor:
+def upward(vector: Tensor) -> Tensor:
     """Unit vectors that face the camera; (0, 0, 1) for a zero vector."""
     unit = F.normalize(vector, dim=1, eps=torch.finfo(vector.dtype).tiny)
     return F.normalize(torch.cat((unit[:, :2], unit[:, 2:].clamp_min(MIN_NORMAL_Z)), 1), dim=1)
@@ -411,7 +411,7 @@ def _start_lambert(low: float, high: float) -> Start:
 
     def begin(grey: Tensor, rays: Rays) -> tuple[Tensor, Tensor]:
         scaled = _linear(grey, rays, _ranks(grey, low, high))
-        return _upward(scaled), scaled.norm(dim=1, keepdim=True).clamp_min(1e-3)
+        return upward(scaled), scaled.norm(dim=1, keepdim=True).clamp_min(1e-3)
 
     return begin
 
@@ -420,7 +420,7 @@ def _start_highlight(grey: Tensor, rays: Rays) -> tuple[Tensor, Tensor]:
     """The mean half vector of the brightest 5 %: where a highlight is, the normal is there."""
     brightest = grey.topk(max(1, round(0.05 * grey.shape[1])), 1).indices
     half = rays.half.expand(len(grey), -1, -1)
-    normal = _upward(half.gather(1, brightest[:, :, None].expand(-1, -1, 3)).mean(1))
+    normal = upward(half.gather(1, brightest[:, :, None].expand(-1, -1, 3)).mean(1))
     cosine = dot(normal, rays.light).relu() * in_light(grey)
     albedo = (cosine * grey).sum(1, keepdim=True) / cosine.square().sum(1, keepdim=True).clamp_min(1e-6)
     return normal, albedo.clamp_min(1e-3)

@@ -64,21 +64,16 @@ def _solve(images: Tensor, lights: Tensor, inside: Tensor, material: Material, u
     albedo, strengths = _colours(fitted, grey, images, inside, rays, material, used)
     spread = _spread(fitted, grey, rays, material, used, grid)
 
-    def canvas(values: Tensor) -> Tensor:
-        drawn = values.new_zeros(values.shape[1], *inside.shape)
-        drawn[:, inside] = values.T
-        return drawn
-
     maps = {
-        "normal": canvas(fitted.normal),
-        "albedo": canvas(albedo),
-        "albedo_grey": canvas(fitted.albedo),
-        "residual": canvas(fitted.residual),
-        "confidence": canvas(1 / (1 + (spread / math.radians(2)) ** 2)),
+        "normal": grid.draw(fitted.normal),
+        "albedo": grid.draw(albedo),
+        "albedo_grey": grid.draw(fitted.albedo),
+        "residual": grid.draw(fitted.residual),
+        "confidence": grid.draw(1 / (1 + (spread / math.radians(2)) ** 2)),
     }
     if material.exponents:
         scale = strengths.new_tensor([8 / (exponent + 8) for exponent in material.exponents])  # blinn_phong's factor
-        maps["specular"] = canvas((strengths * scale[:, None]).flatten(1))
+        maps["specular"] = grid.draw((strengths * scale[:, None]).flatten(1))
     return maps
 
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import copy
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -16,20 +17,32 @@ from .shading_graph import write_graph
 if TYPE_CHECKING:
     import onnx
 
-Function = Callable[..., tuple[Tensor, ...]]
+
+@dataclass(frozen=True)
+class Held:
+    """A module in evaluation mode on the processor, for float32 and for float64 inputs."""
+
+    single: nn.Module
+    double: nn.Module
+
+    def __call__(self, *inputs: Tensor) -> tuple[Tensor, ...]:
+        """A tuple, whatever the module returns."""
+        wide = any(t.dtype == torch.float64 for t in inputs)
+        with torch.no_grad():
+            found = (self.double if wide else self.single)(*inputs)
+        return tuple(found) if isinstance(found, (tuple, list)) else (found,)
 
 
-def hold(module: nn.Module, example: tuple[Tensor, ...]) -> Function:
-    """The module in evaluation mode on the processor, for float32 and float64 inputs; a tuple of tensors comes out.
+def hold(module: nn.Module, example: tuple[Tensor, ...]) -> Held:
+    """A copy of ``module`` that takes ``example``.
 
     Raises:
-        ExportError: it cannot be copied, does not take ``example``, or returns something else.
+        ExportError: it cannot be copied, does not take ``example``, or returns something else than tensors.
     """
     try:
         single = copy.deepcopy(module).cpu().float().eval()
-        double = copy.deepcopy(single).double()
-        with torch.no_grad():
-            found = single(*example)
+        held = Held(single, copy.deepcopy(single).double())
+        found = held(*example)
     except Exception as error:  # a user's code raises anything
         raise ExportError(
             "example_inputs",
@@ -37,32 +50,21 @@ def hold(module: nn.Module, example: tuple[Tensor, ...]) -> Function:
             got=f"{type(error).__name__}: {error}",
             mend="try module(*example_inputs) on the processor",
         ) from error
-    if not all(isinstance(t, Tensor) for t in _listed(found)):
-        raise ExportError("what", expected="a module that returns tensors", got=type(found).__name__, mend="wrap it")
-
-    @torch.no_grad()
-    def run(*inputs: Tensor) -> tuple[Tensor, ...]:
-        wide = any(t.dtype == torch.float64 for t in inputs)
-        return _listed((double if wide else single)(*inputs))
-
-    run.module = single  # type: ignore[attr-defined]
-    return run
-
-
-def _listed(found: Any) -> tuple[Any, ...]:
-    return tuple(found) if isinstance(found, (tuple, list)) else (found,)
+    if not all(isinstance(t, Tensor) for t in found):
+        got = ", ".join(type(t).__name__ for t in found)
+        raise ExportError("what", expected="a module that returns tensors", got=got, mend="wrap it")
+    return held
 
 
 def module_graph(
-    held: Function, example: tuple[Tensor, ...], inputs: Sequence[str], outputs: Sequence[str] | None
+    held: Held, example: tuple[Tensor, ...], inputs: Sequence[str], outputs: Sequence[str] | None
 ) -> onnx.ModelProto:
     """The graph of what `hold` gave; axes longer than 1 are dynamic where the module allows it."""
     names = list(outputs) if outputs is not None else [f"output_{k}" for k in range(len(held(*example)))]
     auto = torch.export.Dim.AUTO
     shapes = tuple({a: auto for a, size in enumerate(t.shape) if size > 1} for t in example)
-    module: nn.Module = held.module  # type: ignore[attr-defined]
     graph = write_graph(
-        lambda: module,
+        lambda: held.single,
         example,
         (inputs, names),
         shapes,
@@ -74,7 +76,7 @@ def module_graph(
     return graph
 
 
-def _fix_axes(graph: onnx.ModelProto, held: Function, example: tuple[Tensor, ...]) -> None:
+def _fix_axes(graph: onnx.ModelProto, held: Held, example: tuple[Tensor, ...]) -> None:
     """Axes that the exporter left open although the module refuses other sizes get their size."""
     sizes = [v.type.tensor_type.shape.dim for v in (*graph.graph.input, *graph.graph.output)]
     for symbol in sorted({size.dim_param for shape in sizes for size in shape if size.dim_param}):
@@ -103,7 +105,7 @@ def _name_axes(graph: onnx.ModelProto) -> None:
                 size.dim_param = re.sub(r"[A-Za-z_]\w*", lambda m: named.get(m[0], m[0]), size.dim_param)
 
 
-def other_sizes(graph: onnx.ModelProto, held: Function, example: tuple[Tensor, ...]) -> list[tuple[Tensor, ...]]:
+def other_sizes(graph: onnx.ModelProto, held: Held, example: tuple[Tensor, ...]) -> list[tuple[Tensor, ...]]:
     """The example with every dynamic axis longer; none where torch refuses them all at once."""
     symbols = {d.dim_param for v in graph.graph.input for d in v.type.tensor_type.shape.dim if d.dim_param}
     trial = _longer(graph, example, symbols)

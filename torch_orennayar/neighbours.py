@@ -34,6 +34,12 @@ class Grid:
         # Channel by channel: large captures leave little room.
         return torch.stack([self._around(column * weight[:, 0], radius) / share for column in values.unbind(1)], 1)
 
+    def draw(self, values: Tensor) -> Tensor:
+        """Values (P, C) where the pixels lie, 0 outside the mask, (C, H, W)."""
+        drawn = values.new_zeros(values.shape[1], *self.mask.shape)
+        drawn[:, self.mask] = values.T
+        return drawn
+
     def _around(self, values: Tensor, radius: int) -> Tensor:
         """Mean of (P,) values over a square window, 0 outside the mask, (P,)."""
         canvas = values.new_zeros(self.mask.shape)

@@ -34,22 +34,18 @@ def solve_network(images: Tensor, lights: Tensor, inside: Tensor) -> dict[str, T
         directions = gather_directions(lights if lights.ndim == 2 else lights[:, :, part], where).float()
         found.append(solve_pixels(network, grey, directions))
     normal, error = (torch.cat(values) for values in zip(*found, strict=True))
-    normal = neighbourhood_normals(normal, error, Grid(inside))
+    grid = Grid(inside)
+    normal = neighbourhood_normals(normal, error, grid)
     maps = [_paint(images, lights, inside, slice(top, top + rows), normal) for top in range(0, len(inside), rows)]
 
-    def canvas(values: Tensor) -> Tensor:
-        drawn = values.new_zeros(values.shape[1], *inside.shape)
-        drawn[:, inside] = values.T
-        return drawn
-
-    albedo, grey_albedo, residual = (canvas(torch.cat(values)) for values in zip(*maps, strict=True))
+    albedo, grey_albedo, residual = (grid.draw(torch.cat(values)) for values in zip(*maps, strict=True))
     confidence = 1 / (1 + (error / math.radians(2)) ** 2)
     return {
-        "normal": canvas(normal),
+        "normal": grid.draw(normal),
         "albedo": albedo,
         "albedo_grey": grey_albedo,
         "residual": residual,
-        "confidence": canvas(confidence),
+        "confidence": grid.draw(confidence),
     }
 
 

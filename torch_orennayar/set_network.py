@@ -14,8 +14,9 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from ._robust_fit import solve_symmetric
+from ._robust_fit import solve_symmetric, upward
 from .errors import FileError
+from .files import atomic_path
 
 FEATURES = 12
 WEIGHTS = Path(__file__).with_name("set_network.pt")
@@ -102,8 +103,7 @@ def make_tokens(observed: Tensor, lights: Tensor) -> Tokens:
     rank = (observed.argsort(dim=1, stable=True).argsort(dim=1).to(observed) + 0.5) / count
     vector = _least_squares(ratio, lights, torch.where((rank > 0.2) & (rank < 0.9), 1.0, 0.02))
     length = vector.norm(dim=1, keepdim=True).clamp_min(1e-6)
-    normal = vector / length
-    normal = F.normalize(torch.cat((normal[:, :2], normal[:, 2:].clamp_min(0.02)), 1), dim=1)
+    normal = upward(vector)
     flat = normal[:, :2].norm(dim=1, keepdim=True)
     right = normal.new_tensor((1.0, 0.0)).expand(len(normal), 2)
     turn = torch.where(flat > 1e-6, normal[:, :2] / flat.clamp_min(1e-6), right)
@@ -145,8 +145,6 @@ def _turn_back(normal: Tensor, turn: Tensor) -> Tensor:
 
 def save_network(path: str | Path, network: SetNetwork) -> None:
     """Shape and weights, in half precision: what `load_network` reads."""
-    from .files import atomic_path
-
     weights = {name: value.detach().cpu().half() for name, value in network.state_dict().items()}
     with atomic_path(Path(path)) as temporary:
         torch.save({"shape": network.shape, "weights": weights}, temporary)

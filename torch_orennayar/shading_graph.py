@@ -10,7 +10,7 @@ import io
 import logging
 import re
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stdout
 from typing import TYPE_CHECKING, Any
 
@@ -105,16 +105,8 @@ def shading_graph(model: str, *, per_pixel: bool) -> onnx.ModelProto:
     start = inner("Mul", "index", rows)
     stop = inner("Add", start, rows)
     cut = {n: inner("Slice", value, inner("Min", start, lasts[n]), stop, "two") for n, value in maps.items()}
-    for node in formula.node:
-        copied = onnx.NodeProto()
-        copied.CopyFrom(node)
-        for k, name in enumerate(copied.input):
-            copied.input[k] = cut.get(name, f"formula_{name}" if name else "")
-        for k, name in enumerate(copied.output):
-            copied.output[k] = f"formula_{name}"
-        copied.name = f"formula_{node.name}"
-        inner.nodes.append(copied)
-    kept = inner("SequenceInsert", "so_far", f"formula_{formula.output[0].name}")
+    (shading,), formula_constants = inline(inner, formula, "formula_", cut)
+    kept = inner("SequenceInsert", "so_far", shading)
     goes_on = inner("Identity", "go_on")
     pictures = helper.make_sequence_type_proto(helper.make_tensor_type_proto(onnx.TensorProto.FLOAT, None))
     body = helper.make_graph(
@@ -135,10 +127,36 @@ def shading_graph(model: str, *, per_pixel: bool) -> onnx.ModelProto:
 
     used = {name for node in (*add.nodes, *inner.nodes) for name in node.input}
     initializers = [onnx.numpy_helper.from_array(torch.tensor(v).numpy(), n) for n, v in constants.items() if n in used]
-    for value in formula.initializer:
-        value.name = f"formula_{value.name}"
-        initializers.append(value)
-    graph = helper.make_graph(add.nodes, "shading", _signature(per_pixel), [_picture("shading")], initializers)
+    initializers += formula_constants
+    return as_model(helper.make_graph(add.nodes, "shading", _signature(per_pixel), [_picture("shading")], initializers))
+
+
+def inline(add: Nodes, graph: onnx.GraphProto, prefix: str, given: Mapping[str, str]) -> tuple[list[str], list[Any]]:
+    """Copy the nodes of ``graph`` in, its inputs called as ``given``; names of its outputs, and its constants."""
+    import onnx
+
+    names = {"": ""} | dict(given)
+    for node in graph.node:
+        copied = onnx.NodeProto()
+        copied.CopyFrom(node)
+        for listed in (copied.input, copied.output):
+            for k, name in enumerate(listed):
+                listed[k] = names.get(name, f"{prefix}{name}")
+        copied.name = f"{prefix}{node.name}"
+        add.nodes.append(copied)
+    constants = []
+    for value in graph.initializer:
+        constant = onnx.TensorProto()
+        constant.CopyFrom(value)
+        constant.name = f"{prefix}{value.name}"
+        constants.append(constant)
+    return [f"{prefix}{value.name}" for value in graph.output], constants
+
+
+def as_model(graph: onnx.GraphProto) -> onnx.ModelProto:
+    """The graph with its opset."""
+    from onnx import helper
+
     opsets = [helper.make_opsetid("", OPSET)]
     return helper.make_model(graph, opset_imports=opsets, ir_version=helper.find_min_ir_version_for(opsets))
 

@@ -14,10 +14,11 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from ._robust_fit import solve_symmetric
+from ._robust_fit import solve_symmetric, upward
 from .evaluation import above_horizon, facing_both
+from .neighbours import Grid
 from .reflectance import ModelFunction, get_model
-from .shading_graph import OPSET, Nodes, write_graph
+from .shading_graph import Nodes, as_model, inline, write_graph
 
 if TYPE_CHECKING:
     import onnx
@@ -121,7 +122,7 @@ class Finish(nn.Module):
         self, seen: Tensor, level: Tensor, lights: Tensor, roughness: Tensor, vector: Tensor, weight: Tensor
     ) -> tuple[Tensor, Tensor]:
         """Grey's normal; albedo in the unit of ``seen``."""
-        normal = _upward(vector)
+        normal = upward(vector)
         ci, co = (normal @ lights.T)[:, None], normal[:, None, 2:]
         albedo = (vector.norm(dim=1, keepdim=True) * level)[:, :, None].expand(-1, seen.shape[1], 1)
         for _ in range(3):
@@ -153,10 +154,8 @@ def solve_closed_form(images: Tensor, lights: Tensor, mask: Tensor, model: str) 
         roughness = roughness + Choose(function)(few, few_level, lights, tried, vector)
     vector, weight = solve(grey, level, roughness)
     found = *Finish(function)(seen, level, lights, roughness, vector, weight), roughness
-    maps = [images.new_zeros(values.shape[1], *inside.shape) for values in found]
-    for drawn, values in zip(maps, found, strict=True):
-        drawn[:, inside] = values.T
-    return maps[0], maps[1], maps[2]
+    normal, albedo, roughness = (Grid(inside).draw(values) for values in found)
+    return normal, albedo, roughness
 
 
 def stereo_graph(model: str) -> onnx.ModelProto:
@@ -208,9 +207,7 @@ def stereo_graph(model: str) -> onnx.ModelProto:
         helper.make_tensor_value_info(name, TensorProto.FLOAT, [channels, "height", "width"])
         for name, channels in zip(STEREO_OUTPUTS, (3, "channels", 1), strict=True)
     ]
-    graph = helper.make_graph(add.nodes, "stereo", signature, results, [*held, *parts.initializers])
-    opsets = [helper.make_opsetid("", OPSET)]
-    return helper.make_model(graph, opset_imports=opsets, ir_version=helper.find_min_ir_version_for(opsets))
+    return as_model(helper.make_graph(add.nodes, "stereo", signature, results, [*held, *parts.initializers]))
 
 
 def _loop(add: Nodes, parts: Parts, turn: onnx.ModelProto, prefix: str, given: Sequence[str]) -> list[str]:
@@ -272,24 +269,10 @@ class Parts:
 
     def inline(self, add: Nodes, traced: onnx.ModelProto, prefix: str, given: Sequence[str]) -> list[str]:
         """Copy the nodes of ``traced`` in, fed with ``given``; the names of what they find."""
-        import onnx
-
-        graph = traced.graph
-        names = dict(zip((v.name for v in graph.input), given, strict=True)) | {"": ""}
-        for node in graph.node:
-            copied = onnx.NodeProto()
-            copied.CopyFrom(node)
-            for listed in (copied.input, copied.output):
-                for k, name in enumerate(listed):
-                    listed[k] = names.get(name, f"{prefix}{name}")
-            copied.name = f"{prefix}{node.name}"
-            add.nodes.append(copied)
-        for value in graph.initializer:
-            held = onnx.TensorProto()
-            held.CopyFrom(value)
-            held.name = f"{prefix}{value.name}"
-            self.initializers.append(held)
-        return [f"{prefix}{value.name}" for value in graph.output]
+        inputs = (value.name for value in traced.graph.input)
+        found, constants = inline(add, traced.graph, prefix, dict(zip(inputs, given, strict=True)))
+        self.initializers += constants
+        return found
 
 
 def stereo_trials() -> list[tuple[Tensor, ...]]:
@@ -314,7 +297,7 @@ def stereo_trials() -> list[tuple[Tensor, ...]]:
 
 def _ratio(function: ModelFunction, vector: Tensor, level: Tensor, lights: Tensor, roughness: Tensor) -> Tensor:
     """What is seen over what Lambert would show, (P, K)."""
-    normal = _upward(vector)
+    normal = upward(vector)
     albedo = (vector.norm(dim=1, keepdim=True) * level).clamp(1e-4, 1.0)
     ci, co = normal @ lights.T, normal[:, 2:]
     value = above_horizon(function, ci, co, lights[:, 2][None], albedo, roughness)
@@ -340,14 +323,6 @@ def _least_squares(grey: Tensor, lights: Tensor, weight: Tensor, ratio: Tensor, 
     rows = ((xx + hold, xy, xz), (xy, yy + hold, yz), (xz, yz, zz + hold))
     x, y, z = ((pull * grey) @ lights + hold * near).split(1, dim=1)
     return torch.cat(solve_symmetric(rows, (x, y, z)), 1)
-
-
-def _upward(vector: Tensor) -> Tensor:
-    """Unit and toward the viewer; straight at the viewer where nothing was seen."""
-    length = vector.norm(dim=1, keepdim=True)
-    x, y, z = (vector / length.clamp_min(1e-9)).split(1, dim=1)
-    z = torch.where(length > 1e-9, z.clamp_min(0.02), 1.0)
-    return F.normalize(torch.cat((x, y, z), 1), dim=1)
 
 
 def _lit(grey: Tensor) -> Tensor:

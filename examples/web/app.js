@@ -25,7 +25,7 @@ let dirty = false;
 let busy = false;
 const times = { left: [], right: [] };
 
-export function refresh() {
+function refresh() {
   dirty = true;
   if (!busy) requestAnimationFrame(frame);
 }
@@ -64,7 +64,7 @@ async function shade(view, model) {
   return shading.data;
 }
 
-export function light() {
+function light() {
   const [x, y] = state.light;
   return [x, y, Math.sqrt(Math.max(1 - x * x - y * y, 0))];
 }

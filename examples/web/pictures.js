@@ -70,7 +70,7 @@ export function decodeNormals({ planes }, green) {
   return normals;
 }
 
-/** Normals as colours: [r, g, b] bytes of pixel i are put where `put` says. */
+/** Normals, three planes, as colours; green up, background black. */
 export function encodeNormals(normals, width, height) {
   const count = width * height;
   const image = new ImageData(width, height);
