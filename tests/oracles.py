@@ -109,9 +109,10 @@ def cast_rays(
 
     ``lines`` gives origins and rays (z = -1, so the distance along a ray is depth) of image points (N, 2). Returns the
     face (-1 for none), its depth, and whether the pixel is within 1/100 of an edge or of the near plane's cut, or two
-    depths are too close to call.
+    depths are too close to call: within 1e-5, or so steep that 1/100 pixel could change their order.
     """
     best = torch.full((len(pixels),), math.inf, dtype=torch.float64)
+    nearest, farthest = best, best  # what the best face's depth is within 1/100 pixel
     face = torch.full((len(pixels),), -1)
     unsure = torch.zeros(len(pixels), dtype=torch.bool)
     shifts = torch.tensor([[0.0, 0], [1, 0], [0, 1], [-1, 0], [0, -1]], dtype=torch.float64) / 100
@@ -123,9 +124,11 @@ def cast_rays(
         unsure |= ((edges[0].abs() <= slope / 100) & (slope > 0)).any(0)
         hit = inside & (depth >= near)
         unsure |= hit.any(0) != hit.all(0)
-        unsure |= hit[0] & ((depth[0] - best).abs() < 1e-5)
+        low, high = depth.amin(0), depth.amax(0)
+        unsure |= hit[0] & (((depth[0] - best).abs() < 1e-5) | ((low < farthest) & (nearest < high)))
         seen = hit[0] & (depth[0] < best)
         best, face = torch.where(seen, depth[0], best), torch.where(seen, index, face)
+        nearest, farthest = torch.where(seen, low, nearest), torch.where(seen, high, farthest)
     return face, best, unsure
 
 
