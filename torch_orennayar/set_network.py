@@ -97,10 +97,9 @@ class _Block(nn.Module):
 def make_tokens(observed: Tensor, lights: Tensor) -> Tokens:
     """Twelve numbers for every light of every pixel."""
     lights = lights.expand(len(observed), -1, -1) if lights.ndim == 2 else lights
-    count = observed.shape[1]
     mean = observed.mean(1, keepdim=True).clamp_min(1e-9)
     ratio = (observed / mean).clamp(0, 6)
-    rank = (observed.argsort(dim=1, stable=True).argsort(dim=1).to(observed) + 0.5) / count
+    rank = _ranks(observed)
     vector = _least_squares(ratio, lights, torch.where((rank > 0.2) & (rank < 0.9), 1.0, 0.02))
     length = vector.norm(dim=1, keepdim=True).clamp_min(1e-6)
     normal = upward(vector)
@@ -126,6 +125,16 @@ def make_tokens(observed: Tensor, lights: Tensor) -> Tokens:
         start[:, 2:].expand_as(ci),
     )
     return Tokens(torch.stack(values, 2), start, turn)
+
+
+def _ranks(observed: Tensor) -> Tensor:
+    """Share of the other lights under which the pixel is darker; equals count half, so that no order of lights matters.
+
+    Every pair is compared: dearer than to sort, but a sort would need the ties told apart, and graphs have this too.
+    """
+    lower = (observed[:, None, :] < observed[:, :, None]).sum(2)
+    upto = (observed[:, None, :] <= observed[:, :, None]).sum(2)
+    return (lower + upto).to(observed) / (2 * observed.shape[1])
 
 
 def _least_squares(ratio: Tensor, lights: Tensor, weight: Tensor) -> Tensor:

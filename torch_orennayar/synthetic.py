@@ -120,7 +120,8 @@ class SyntheticCaptures(IterableDataset[dict[str, Tensor]]):
     def _pixels(self, draw: Draw, count: int) -> dict[str, Tensor]:
         pixels = max(1, self.observations // count)
         lights, normal = draw_lights(draw, pixels, count), draw_normals(draw, pixels)
-        observed = sense(draw, shade_pixels(draw, normal, lights, self.mix), self.mix)
+        easy = draw.happens(self.mix.easy, pixels, 1)
+        observed = sense(draw, shade_pixels(draw, normal, lights, self.mix, easy), self.mix, easy)
         return {"observed": observed, "lights": tell_lights(draw, lights, self.mix), "normal": normal}
 
     def _images(self, draw: Draw, count: int) -> dict[str, Tensor]:

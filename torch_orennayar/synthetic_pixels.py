@@ -6,7 +6,7 @@ Every function takes a generator and draws what a capture might do; `Ingredients
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 import torch.nn.functional as F
@@ -37,7 +37,7 @@ class Ingredients:
         noise: most multiplicative and additive noise.
         clipped: share of saturated pixels.
         outliers: share of captures in which some photographs are capped or of wrong brightness.
-        bits: fewest and most bits of the sensor.
+        bits: fewest and most bits of a pixel's brightest value.
         easy: share of pixels without shadows, sheen or outliers.
     """
 
@@ -148,7 +148,7 @@ def draw_material(draw: Draw, pixels: int, mix: Ingredients) -> Materials:
     metal = draw.happens(mix.metal, *one) * glossy
     lobes = []
     for share in (1.0, mix.second_lobe):
-        width = draw.uniform(*one, low=0.12, high=0.95)
+        width = draw.uniform(*one, low=0.12, high=0.95) ** 2
         facing = draw.logarithmic(*one, low=0.02, high=0.1)
         facing = torch.where(metal > 0, draw.uniform(*one, low=0.2, high=0.9), facing)
         lobes.append((width, facing, glossy * draw.happens(share, *one) * draw.uniform(*one, low=0.4, high=1.6)))
@@ -164,15 +164,15 @@ def draw_material(draw: Draw, pixels: int, mix: Ingredients) -> Materials:
     )
 
 
-def shade_pixels(draw: Draw, normals: Tensor, lights: Tensor, mix: Ingredients) -> Tensor:
-    """What P pixels (P, 3) show under lights (P, K, 3) before the sensor, (P, K)."""
+def shade_pixels(draw: Draw, normals: Tensor, lights: Tensor, mix: Ingredients, easy: Tensor) -> Tensor:
+    """What P pixels (P, 3) show under lights (P, K, 3) before the sensor, (P, K); ``easy`` (P, 1) is 0 or 1."""
     pixels = len(normals)
     materials = draw_material(draw, pixels, mix)
+    materials = replace(materials, sheen=materials.sheen * (1 - easy))
     ci = (lights * normals[:, None]).sum(2)
     co = normals[:, 2:].clamp_min(0.05).expand_as(ci)
     held = ci.clamp_min(1e-3)
     direct = torch.where(ci > 0, materials.reflect(held, co, lights[..., 2].contiguous()) * held, 0.0)
-    easy = draw.happens(mix.easy, pixels, 1)
     lit, sent = torch.ones_like(direct), torch.zeros_like(direct)
     for _ in range(mix.shadows):
         stands = draw.happens(0.4, pixels, 1) * (1 - easy)
@@ -203,12 +203,12 @@ def _wall(draw: Draw, normals: Tensor, lights: Tensor) -> tuple[Tensor, Tensor]:
     return blocked, lit * faces.clamp_min(0) * height.sin() * 0.5
 
 
-def sense(draw: Draw, light: Tensor, mix: Ingredients) -> Tensor:
+def sense(draw: Draw, light: Tensor, mix: Ingredients, easy: Tensor) -> Tensor:
     """What a camera makes of light (P, K): exposure errors, noise, saturation, steps, photographs gone wrong."""
     pixels, count = light.shape
     level = light.mean(1, keepdim=True).clamp_min(1e-9)
     seen = light / level * (1 + mix.intensity_error * draw.normal(pixels, count))
-    wrong = draw.happens(mix.outliers, pixels, 1) * draw.happens(0.5, pixels, count) * draw.uniform(pixels, 1, high=0.7)
+    wrong = draw.happens(mix.outliers, pixels, 1) * draw.uniform(pixels, 1, high=0.35) * (1 - easy)
     hit = (draw.uniform(pixels, count) < wrong).float()
     capped = torch.minimum(seen, draw.uniform(pixels, 1, low=0.3, high=1.0))
     scaled = seen * draw.logarithmic(pixels, count, low=0.3, high=3.0)
@@ -219,9 +219,7 @@ def sense(draw: Draw, light: Tensor, mix: Ingredients) -> Tensor:
     clip = draw.happens(mix.clipped, pixels, 1)
     top = torch.where(clip > 0, top * draw.uniform(pixels, 1, low=0.4, high=1.0), top)
     steps = 2 ** draw.uniform(pixels, 1, low=mix.bits[0], high=mix.bits[1])
-    exposure = draw.logarithmic(pixels, 1, low=0.15, high=1.0)  # the pixel's share of the brightest in the picture
-    full = torch.where(clip > 0, top, top / exposure).clamp_min(1e-6)
-    seen = (torch.minimum(seen, top) / full).clamp(0, 1)
+    seen = (seen / top.clamp_min(1e-6)).clamp(0, 1)
     return (seen * steps).round() / steps
 
 
