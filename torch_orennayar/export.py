@@ -17,12 +17,15 @@ from .camera import Camera
 from .errors import ExportError
 from .files import atomic_path
 from .module_graph import hold, module_graph, other_sizes, to_half
+from .network_stereo import NETWORK, network_graph, solve_network
+from .pixel_graph import STEREO_INPUTS
 from .reflectance import get_model
 from .render import check_size
 from .renderer_graph import Renderer, renderer_graph, renderer_inputs, renderer_trials
+from .set_network import load_network
 from .shading import oren_nayar
 from .shading_graph import BAND, INPUTS, shading_graph
-from .stereo_graph import CANDIDATES, STEREO_INPUTS, solve_closed_form, stereo_graph, stereo_trials
+from .stereo_graph import CANDIDATES, solve_closed_form, stereo_graph, stereo_trials
 
 if TYPE_CHECKING:
     import onnx
@@ -63,7 +66,8 @@ def export_onnx(
     ``"stereo"`` takes ``images`` (K, C, H, W) of linear light, ``lights`` (K, 3), unit, and ``mask`` (1, H, W) bool and
     returns ``normal`` (3, H, W), ``albedo`` (C, H, W) and ``roughness`` (1, H, W), 0 outside the mask; all axes are
     dynamic. It is robust least squares in closed form with one roughness for the object (`stereo_graph`), less exact
-    than `photometric_stereo`. K >= 3, and the mask must hold a pixel.
+    than `photometric_stereo`. K >= 3, and the mask must hold a pixel. With ``model="network"`` the normals are those of
+    the network that ships, K >= 12 for what it was trained on, and ``error`` (1, H, W), radians, is returned too.
 
     A module of your own, with `OrenNayar` in it or without, takes ``example_inputs``; every axis that it allows to
     differ is dynamic, but for those of size 1 in the example. It is exported in evaluation mode.
@@ -73,7 +77,8 @@ def export_onnx(
     Args:
         what: ``"shading"``, ``"renderer"``, ``"shaded_mesh"``, ``"stereo"`` or a module.
         path: the file; it appears whole and verified, or not at all.
-        model: a name in ``MODELS``, registered ones too; ``"renderer"`` and modules use none.
+        model: a name in ``MODELS``, registered ones too, or ``"network"`` (``"stereo"``); neither ``"renderer"`` nor a
+            module uses one.
         per_pixel_directions: light and view as maps (``"shading"``).
         camera: one camera (``"renderer"``, ``"shaded_mesh"``).
         size: (H, W) of the pictures (the same).
@@ -104,7 +109,7 @@ def export_onnx(
     elif what == "shading":
         task = _shading_task(get_model(model).name, per_pixel_directions)
     elif what == "stereo":
-        task = _stereo_task(get_model(model).name)
+        task = _network_task() if model == NETWORK else _stereo_task(get_model(model).name)
     elif what in ("renderer", "shaded_mesh"):
         if camera is None or size is None or len(camera.eye) != 1:
             got = "none" if camera is None or size is None else f"{len(camera.eye)} cameras"
@@ -169,15 +174,35 @@ def _renderer_task(renderer: Renderer) -> _Task:
     return _Task(renderer_graph(renderer), meaning, inputs, renderer_trials(renderer), renderer)
 
 
+_CAPTURE = {
+    "images": "linear light, each divided by the intensity of its light",
+    "lights": "unit, away from the surface, toward the source",
+    "mask": "true where there is an object; at least one pixel",
+    "albedo": "in the unit of the images; 1 is a white surface under a light of irradiance pi",
+}
+
+
+def _network_task() -> _Task:
+    meaning = _CAPTURE | {
+        "model": NETWORK,
+        "roughness": "always 0: the network tells none",
+        "error": "what the network expects its normal to err by, radians",
+        "method": "a set network trained on made-up pixels, 12 to 100 lights; albedo is Lambert's",
+    }
+
+    def solve(images: Tensor, lights: Tensor, mask: Tensor) -> tuple[Tensor, ...]:
+        network = load_network().to(images.dtype)
+        found = solve_network(images, lights, mask[0], network)
+        return found["normal"], found["albedo"], torch.zeros_like(found["error"]), found["error"]
+
+    return _Task(network_graph(), meaning, STEREO_INPUTS, stereo_trials(), solve)
+
+
 def _stereo_task(name: str) -> _Task:
     tried = ", ".join(f"{math.degrees(c):g}" for c in CANDIDATES)
-    meaning = {
+    meaning = _CAPTURE | {
         "model": name,
         "source": get_model(name).source,
-        "images": "linear light, each divided by the intensity of its light",
-        "lights": "unit, away from the surface, toward the source",
-        "mask": "true where there is an object; at least one pixel",
-        "albedo": "in the unit of the images; 1 is a white surface under a light of irradiance pi",
         "roughness": "one for the object: standard deviation of the facet slope angle, radians; "
         + ("always 0" if name == "lambert" else f"found between {tried} degrees"),
         "method": "trimmed, then reweighted (Geman-McClure) least squares, 10 closed-form solutions",

@@ -1,80 +1,127 @@
-"""Photometric stereo by the network that ships with the package."""
+"""Photometric stereo by the network that ships with the package, in torch and as an ONNX graph."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 import torch
-from torch import Tensor
+import torch.nn.functional as F
+from torch import Tensor, nn
 
-from . import _robust_fit as robust_fit
-from ._robust_fit import PixelFit
-from .bands import band_height, gather, gather_directions
-from .material import Material, Rays, dot
+from .bands import gather_directions
 from .neighbours import Grid, neighbourhood_normals
+from .pixel_graph import PixelGraph, Prepare
 from .progress import track
-from .set_network import load_network, solve_pixels
+from .set_network import SetNetwork, load_network
+from .shading_graph import Nodes
+from .stereo_graph import middle_ranks
+
+if TYPE_CHECKING:
+    import onnx
 
 NETWORK = "network"
 """The name that `photometric_stereo` takes."""
 TRAINED_LIGHTS = 12
 """The fewest lights that it has seen."""
+CHUNK = 1 << 15
+"""Observations at once: what fits in cache."""
 
 
-def solve_network(images: Tensor, lights: Tensor, inside: Tensor) -> dict[str, Tensor]:
-    """Maps (C, H, W) as of `solve_bands`: the network's normals, and Lambert's albedo under them."""
-    network = load_network().to(images.device)
-    rows = band_height(len(images), inside)
-    found: list[tuple[Tensor, Tensor]] = []
-    for top in track(range(0, len(inside), rows), "network"):
-        part = slice(top, top + rows)
-        where = inside[part].flatten()
-        grey = gather(images[:, :, part], where).float()
-        directions = gather_directions(lights if lights.ndim == 2 else lights[:, :, part], where).float()
-        found.append(solve_pixels(network, grey, directions))
-    normal, error = (torch.cat(values) for values in zip(*found, strict=True))
-    grid = Grid(inside)
-    normal = neighbourhood_normals(normal, error, grid)
-    maps = [_paint(images, lights, inside, slice(top, top + rows), normal) for top in range(0, len(inside), rows)]
+class Paint(nn.Module):
+    """Lambert's albedo under given normals."""
 
-    albedo, grey_albedo, residual = (grid.draw(torch.cat(values)) for values in zip(*maps, strict=True))
-    confidence = 1 / (1 + (error / math.radians(2)) ** 2)
+    def forward(self, seen: Tensor, lights: Tensor, normal: Tensor) -> tuple[Tensor, Tensor]:
+        """Of pixels (P, C, K), lights (K, 3) or (P, K, 3) and normals (P, 3): albedo (P, C), grey's misfit (P, 1)."""
+        shown = (normal[:, None] * lights).sum(2).clamp_min(0.0)
+        grey = seen.mean(1)
+        pull = middle_ranks(grey) * shown
+        level = (pull * shown).sum(1, keepdim=True).clamp_min(1e-9)
+        albedo = (pull[:, None] * seen).sum(2) / level
+        missed = (grey - albedo.mean(1, keepdim=True) * shown).abs().mean(1, keepdim=True)
+        return albedo.clamp_min(0.0), missed
+
+
+class Smooth(nn.Module):
+    """Mean normal of a picture's pixels and their 8 neighbours, those of small error counting more."""
+
+    def forward(self, normal_map: Tensor, error_map: Tensor) -> Tensor:
+        """Normals (3, H, W), 0 outside the mask, errors (1, H, W)."""
+        weight = 1 / error_map.clamp(1e-3, 1e3).square()
+        return F.normalize(F.avg_pool2d((normal_map * weight)[None], 3, 1, 1)[0], dim=0)
+
+
+def solve_network(
+    images: Tensor, lights: Tensor, inside: Tensor, network: SetNetwork | None = None
+) -> dict[str, Tensor]:
+    """Maps (C, H, W) as of `solve_bands`: the network's normals, smoothed, and Lambert's albedo under them."""
+    network = (network or load_network()).to(images.device)
+    dtype = next(network.parameters()).dtype
+    grid, place, flat = Grid(inside), inside.flatten().nonzero().flatten(), images.flatten(2)
+    chunks = place.split(max(1, CHUNK // len(images)))
+
+    def look(chunk: Tensor) -> tuple[Tensor, Tensor]:
+        return flat[:, :, chunk].permute(2, 1, 0).to(dtype), gather_directions(lights, chunk).to(dtype)
+
+    with torch.no_grad():
+        found = []
+        for chunk in track(chunks, "network"):
+            seen, directions = look(chunk)
+            found.append(network(Prepare()(seen)[0], directions))
+        normal, error = (torch.cat(values) for values in zip(*found, strict=True))
+        normal = neighbourhood_normals(normal, error, grid)
+        painted = [
+            Paint()(*look(chunk), part) for chunk, part in zip(chunks, normal.split(chunks[0].shape[0]), strict=True)
+        ]
+    albedo, residual = (torch.cat(values) for values in zip(*painted, strict=True))
+    error = error.clamp_max(math.pi / 2)
     return {
         "normal": grid.draw(normal),
-        "albedo": albedo,
-        "albedo_grey": grey_albedo,
-        "residual": residual,
-        "confidence": grid.draw(confidence),
+        "albedo": grid.draw(albedo),
+        "albedo_grey": grid.draw(albedo.mean(1, keepdim=True)),
+        "residual": grid.draw(residual),
+        "confidence": grid.draw(1 / (1 + (error / math.radians(2)) ** 2)),
+        "error": grid.draw(error),
     }
 
 
-def _paint(
-    images: Tensor, lights: Tensor, inside: Tensor, part: slice, normal: Tensor
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Albedo (P, C), of grey (P, 1), and mean misfit (P, 1) of the pixels in some rows, without outliers."""
-    before = int(inside[: part.start].sum())
-    where = inside[part].flatten()
-    grey = gather(images[:, :, part], where).float()
-    rays = Rays.of(gather_directions(lights if lights.ndim == 2 else lights[:, :, part], where).float())
-    fitted = _under(normal[before : before + len(grey)], grey, rays)
-    place, flat = where.nonzero().flatten(), images[:, :, part].flatten(2)
-    painted = []
-    for piece in robust_fit.chunks(grey):
-        channels = flat.index_select(2, place[piece]).permute(2, 0, 1).float()
-        painted.append(robust_fit.colour(fitted[piece], grey[piece], channels, rays.at(piece), Material(), "middle")[0])
-    return torch.cat(painted), fitted.albedo, fitted.residual
+def network_graph() -> onnx.ModelProto:
+    """The graph: as `solve_network`; ``error``, what the network expects, radians, comes last."""
+    from onnx import TensorProto, helper
 
-
-def _under(normal: Tensor, grey: Tensor, rays: Rays) -> PixelFit:
-    """Lambert's fit with the normals given."""
-    cosine = dot(normal, rays.light).clamp_min(0)
-    blank = PixelFit(normal, cosine.new_ones(len(grey), 1), cosine[:, :0], cosine.new_full((len(grey), 1), torch.inf),
-                     cosine[:, :1], cosine[:, :1])  # fmt: skip
-    used = robust_fit.weights(blank, grey, grey, "middle")
-    albedo = (used * cosine * grey).sum(1, keepdim=True) / (used * cosine.square()).sum(1, keepdim=True).clamp_min(1e-9)
-    missed = (grey - albedo * cosine).abs()
-    noise = (1.4826 * missed.median(1, keepdim=True).values / robust_fit.mean_of(grey)).clamp_min(
-        robust_fit.NOISE_FLOOR
+    graph = PixelGraph(
+        {"chunk": [CHUNK], "turn_back": [-1, 3], "column": [-1, 1], "step": 1, "right_angle": [math.pi / 2]}
     )
-    return replace(blank, albedo=albedo.clamp_min(1e-6), noise=noise, residual=missed.mean(1, keepdim=True))
+    add = graph.add
+    grey, _ = graph.inline(graph.trace(Prepare(), ("seen",), 2), "prepare_", (graph.seen,))
+    # Equal chunks of pixels, the last one filled up with the last pixel, through the network one after the other.
+    pixels, count = add("Shape", grey, end=1), add("Shape", grey, start=1)
+    rows = add("Max", add("Div", "chunk", count), "one")
+    number = add("Div", add("Sub", add("Add", pixels, rows), "one"), rows)
+    every = add("Range", "axis", add("Squeeze", add("Mul", number, rows), "zero"), "step")
+    filled = add("Gather", grey, add("Min", every, add("Sub", pixels, "one")))
+    chunks = add("Reshape", filled, add("Concat", number, rows, count, axis=0))
+    inner = Nodes("read_")
+    network = graph.trace(load_network(), ("grey", "lights"), 2)
+    found = graph.inline(network, "network_", ("one_chunk", "lights"), inner)
+
+    def value(name: str) -> Any:
+        return helper.make_tensor_value_info(name, TensorProto.FLOAT, None)
+
+    body = helper.make_graph(inner.nodes, "read", [value("one_chunk")], [value(name) for name in found])
+    normals, errors = add.many("Scan", (chunks,), 2, body=body, num_scan_inputs=1)
+    normal = add("Slice", add("Reshape", normals, "turn_back"), "zero", pixels, "zero")
+    error = add("Slice", add("Reshape", errors, "column"), "zero", pixels, "zero")
+
+    error_map = add("Min", graph.lay(error), "right_angle")
+    smooth = graph.trace(Smooth(), ("normal_map", "error_map"), 1)
+    (smoothed,) = graph.inline(smooth, "smooth_", (graph.lay(normal), error_map))
+    normal_map = add("Where", "mask", smoothed, "nothing")
+    paint = graph.trace(Paint(), ("seen", "lights", "vector"), 2)
+    albedo, _ = graph.inline(paint, "paint_", (graph.seen, "lights", graph.pick(normal_map)))
+    return graph.finish({
+        "normal": (normal_map, 3),
+        "albedo": (graph.lay(albedo), "channels"),
+        "roughness": (add("Mul", error_map, "nothing"), 1),
+        "error": (error_map, 1),
+    })  # fmt: skip

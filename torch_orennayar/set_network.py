@@ -6,7 +6,6 @@ leans to the right, and the answer is turned back: turning the scene turns the a
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -96,7 +95,7 @@ class _Block(nn.Module):
 
 def make_tokens(observed: Tensor, lights: Tensor) -> Tokens:
     """Twelve numbers for every light of every pixel."""
-    lights = lights.expand(len(observed), -1, -1) if lights.ndim == 2 else lights
+    lights = lights.expand(observed.shape[0], -1, -1) if lights.ndim == 2 else lights
     mean = observed.mean(1, keepdim=True).clamp_min(1e-9)
     ratio = (observed / mean).clamp(0, 6)
     rank = _ranks(observed)
@@ -104,7 +103,7 @@ def make_tokens(observed: Tensor, lights: Tensor) -> Tokens:
     length = vector.norm(dim=1, keepdim=True).clamp_min(1e-6)
     normal = upward(vector)
     flat = normal[:, :2].norm(dim=1, keepdim=True)
-    right = normal.new_tensor((1.0, 0.0)).expand(len(normal), 2)
+    right = normal.new_tensor((1.0, 0.0)).expand(normal.shape[0], 2)
     turn = torch.where(flat > 1e-6, normal[:, :2] / flat.clamp_min(1e-6), right)
     c, s = turn[:, :1], turn[:, 1:]
     x, y, z = lights.unbind(2)
@@ -182,17 +181,3 @@ def load_network(path: str | Path = WEIGHTS) -> SetNetwork:
             str(path), expected="a network of save_network", got=f"{type(error).__name__}: {error}", mend="train it"
         ) from error
     return network.eval()
-
-
-@torch.no_grad()
-def solve_pixels(
-    network: SetNetwork, observed: Tensor, lights: Tensor, *, chunk: int = 1 << 17
-) -> tuple[Tensor, Tensor]:
-    """`SetNetwork.forward` for any number of pixels, some at a time; errors at most pi / 2."""
-    rows = max(1, chunk // observed.shape[1])
-    parts = [
-        network(observed[k : k + rows], lights if lights.ndim == 2 else lights[k : k + rows])
-        for k in range(0, len(observed), rows)
-    ]
-    normal, error = (torch.cat(values) for values in zip(*parts, strict=True))
-    return normal, error.clamp_max(math.pi / 2)

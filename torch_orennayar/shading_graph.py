@@ -52,11 +52,16 @@ class Nodes:
 
     def __call__(self, operator: str, *inputs: str, **attributes: object) -> str:
         """A node more."""
+        return self.many(operator, inputs, 1, **attributes)[0]
+
+    def many(self, operator: str, inputs: Sequence[str], outputs: int, **attributes: object) -> list[str]:
+        """A node more, with several outputs."""
         import onnx
 
         name = f"{self.prefix}{operator.lower()}_{len(self.nodes)}"
-        self.nodes.append(onnx.helper.make_node(operator, list(inputs), [name], name=name, **attributes))
-        return name
+        names = [name if not k else f"{name}_{k}" for k in range(outputs)]
+        self.nodes.append(onnx.helper.make_node(operator, list(inputs), names, name=name, **attributes))
+        return names
 
 
 def shading_graph(model: str, *, per_pixel: bool) -> onnx.ModelProto:

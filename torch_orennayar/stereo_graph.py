@@ -11,19 +11,18 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor, nn
 
 from ._robust_fit import solve_symmetric, upward
 from .evaluation import above_horizon, facing_both
 from .neighbours import Grid
+from .pixel_graph import PixelGraph, Prepare
 from .reflectance import ModelFunction, get_model
-from .shading_graph import Nodes, as_model, inline, write_graph
+from .shading_graph import Nodes
 
 if TYPE_CHECKING:
     import onnx
 
-STEREO_INPUTS = ("images", "lights", "mask")
 STEREO_OUTPUTS = ("normal", "albedo", "roughness")
 CANDIDATES = tuple(math.radians(7.5 * k) for k in range(9))
 """Roughnesses that are tried."""
@@ -39,22 +38,12 @@ CAP, NOISE_FLOOR = 0.15, 0.01
 """Shares of a pixel's mean: errors count up to the one, and noise is at least the other."""
 
 
-class Prepare(nn.Module):
-    """Pixels seen (P, C, K) as grey in units of their mean, (P, K), and that mean, (P, 1)."""
-
-    def forward(self, seen: Tensor) -> tuple[Tensor, Tensor]:
-        """Grey decides on the normal."""
-        grey = seen.mean(1)
-        level = grey.mean(1, keepdim=True).clamp_min(1e-12)
-        return grey / level, level
-
-
 class Begin(nn.Module):
     """Weights of the middle ranks, (P, K), and albedo times normal in units of the mean, (P, 3)."""
 
     def forward(self, grey: Tensor, lights: Tensor) -> tuple[Tensor, Tensor]:
         """Lambert's surface, trimmed."""
-        middle = _middle(grey)
+        middle = middle_ranks(grey)
         facing = torch.ones_like(grey[:, :1]) * grey.new_tensor((0.0, 0.0, 1.0))
         return middle, _least_squares(grey, lights, middle, torch.ones_like(grey), facing)
 
@@ -160,63 +149,37 @@ def solve_closed_form(images: Tensor, lights: Tensor, mask: Tensor, model: str) 
 
 def stereo_graph(model: str) -> onnx.ModelProto:
     """The graph: pixels of the mask are gathered, solved in the steps above and laid out again; all axes dynamic."""
-    import numpy as np
-    from onnx import TensorProto, helper, numpy_helper
-
-    function, parts = get_model(model).function, Parts()
-    add = Nodes("")
-    flat = add("Reshape", "mask", "all")
-    place = add("Squeeze", add("NonZero", flat), "zero")
-    seen = add("Transpose", add("Gather", add("Reshape", "images", "keep_two"), place, axis=2), perm=[2, 1, 0])
-    turn = parts.trace(Turn(function), ("grey", "level", "lights", "roughness", "middle", "vector"), 2)
-    begin = parts.trace(Begin(), ("grey", "lights"), 2)
+    function, graph = get_model(model).function, PixelGraph({"turns": TURNS})
+    turn = graph.trace(Turn(function), ("grey", "level", "lights", "roughness", "middle", "vector"), 2)
+    begin = graph.trace(Begin(), ("grey", "lights"), 2)
 
     def solve(grey: str, level: str, roughness: str, prefix: str) -> list[str]:
-        middle, vector = parts.inline(add, begin, f"{prefix}begin_", (grey, "lights"))
-        return _loop(add, parts, turn, f"{prefix}turn_", (grey, level, "lights", roughness, middle, vector))
+        middle, vector = graph.inline(begin, f"{prefix}begin_", (grey, "lights"))
+        return _loop(graph, turn, f"{prefix}turn_", (grey, level, "lights", roughness, middle, vector))
 
-    grey, level = parts.inline(add, parts.trace(Prepare(), ("seen",), 2), "prepare_", (seen,))
-    roughness = add("Mul", level, "nothing")
+    grey, level = graph.inline(graph.trace(Prepare(), ("seen",), 2), "prepare_", (graph.seen,))
+    roughness = graph.add("Mul", level, "nothing")
     if model != "lambert":
-        few, few_level, tried = parts.inline(add, parts.trace(Sample(), ("grey", "level"), 3), "sample_", (grey, level))
+        few, few_level, tried = graph.inline(graph.trace(Sample(), ("grey", "level"), 3), "sample_", (grey, level))
         vector, _ = solve(few, few_level, tried, "few_")
-        choose = parts.trace(Choose(function), ("grey", "level", "lights", "roughness", "vector"), 1)
-        (best,) = parts.inline(add, choose, "choose_", (few, few_level, "lights", tried, vector))
-        roughness = add("Add", roughness, best)
+        names = ("grey", "level", "lights", "roughness", "vector")
+        choose = graph.trace(Choose(function), names, 1, len(CANDIDATES) * SAMPLES)
+        (best,) = graph.inline(choose, "choose_", (few, few_level, "lights", tried, vector))
+        roughness = graph.add("Add", roughness, best)
     vector, weight = solve(grey, level, roughness, "")
-    finish = parts.trace(Finish(function), ("seen", "level", "lights", "roughness", "vector", "weight"), 2)
-    normal, albedo = parts.inline(add, finish, "finish_", (seen, level, "lights", roughness, vector, weight))
-
-    # Back into the picture: every pixel looks up its row, pixels outside get 0.
-    row = add("Max", add("Sub", add("CumSum", add("Cast", flat, to=TensorProto.INT64), "axis"), "one"), "zero")
-    inside, area = add("Unsqueeze", flat, "one"), add("Shape", "mask", start=1)
-    for name, values in zip(STEREO_OUTPUTS, (normal, albedo, roughness), strict=True):
-        laid = add("Transpose", add("Where", inside, add("Gather", values, row), "nothing"), perm=[1, 0])
-        sizes = add("Concat", add("Shape", laid, end=1), area, axis=0)
-        add.nodes.append(helper.make_node("Reshape", [laid, sizes], [name], name=f"lay_{name}"))
-
-    constants = {"all": [-1], "keep_two": [0, 0, -1], "zero": [0], "one": [1], "axis": 0, "turns": TURNS}
-    held = [numpy_helper.from_array(np.asarray(v, dtype=np.int64), n) for n, v in constants.items()]
-    held.append(numpy_helper.from_array(np.zeros(1, np.float32), "nothing"))
-    signature = [
-        helper.make_tensor_value_info("images", TensorProto.FLOAT, ["lights", "channels", "height", "width"]),
-        helper.make_tensor_value_info("lights", TensorProto.FLOAT, ["lights", 3]),
-        helper.make_tensor_value_info("mask", TensorProto.BOOL, [1, "height", "width"]),
-    ]
-    results = [
-        helper.make_tensor_value_info(name, TensorProto.FLOAT, [channels, "height", "width"])
-        for name, channels in zip(STEREO_OUTPUTS, (3, "channels", 1), strict=True)
-    ]
-    return as_model(helper.make_graph(add.nodes, "stereo", signature, results, [*held, *parts.initializers]))
+    finish = graph.trace(Finish(function), ("seen", "level", "lights", "roughness", "vector", "weight"), 2)
+    normal, albedo = graph.inline(finish, "finish_", (graph.seen, level, "lights", roughness, vector, weight))
+    laid = (graph.lay(values) for values in (normal, albedo, roughness))
+    return graph.finish(dict(zip(STEREO_OUTPUTS, zip(laid, (3, "channels", 1), strict=True), strict=True)))
 
 
-def _loop(add: Nodes, parts: Parts, turn: onnx.ModelProto, prefix: str, given: Sequence[str]) -> list[str]:
+def _loop(graph: PixelGraph, turn: onnx.ModelProto, prefix: str, given: Sequence[str]) -> list[str]:
     """``TURNS`` turns; vector and weight go round, all else is seen from outside."""
     from onnx import TensorProto, helper
 
     *fixed, middle, vector = given
     inner = Nodes(prefix)
-    found = parts.inline(inner, turn, prefix, (*fixed, middle, f"{prefix}vector"))
+    found = graph.inline(turn, prefix, (*fixed, middle, f"{prefix}vector"), inner)
     go_on = inner("Identity", f"{prefix}go_on")
 
     def value(name: str, kind: int = TensorProto.FLOAT, shape: list[object] | None = None) -> Any:
@@ -233,46 +196,7 @@ def _loop(add: Nodes, parts: Parts, turn: onnx.ModelProto, prefix: str, given: S
         ],
         [value(go_on, TensorProto.BOOL, []), *map(value, found)],
     )
-    answers = [f"{prefix}last_vector", f"{prefix}last_weight"]
-    add.nodes.append(helper.make_node("Loop", ["turns", "", vector, middle], answers, name=f"{prefix}loop", body=body))
-    return answers
-
-
-class Parts:
-    """Modules traced one by one, and their constants once they are part of a graph."""
-
-    def __init__(self) -> None:
-        self.initializers: list[Any] = []
-
-    def trace(self, module: nn.Module, names: Sequence[str], outputs: int) -> onnx.ModelProto:
-        """The graph of one step; pixels, channels and lights are dynamic."""
-        pixels, channels, count = (torch.export.Dim(n) for n in ("pixels", "channels", "count"))
-        lights = F.normalize(torch.rand(7, 3) + torch.tensor([0.0, 0, 1]), dim=1)
-        whole = isinstance(module, Choose)  # its pixels are a fixed number of samples
-        rows = len(CANDIDATES) * SAMPLES if whole else 11
-        row: dict[int, object] = {} if whole else {0: pixels}
-        examples: dict[str, tuple[Tensor, dict[int, object]]] = {
-            "seen": (torch.rand(rows, 3, 7), row | {1: channels, 2: count}),
-            "lights": (lights, {0: count}),
-            "vector": (torch.rand(rows, 3), row),
-            **{n: (torch.rand(rows, 7), row | {1: count}) for n in ("grey", "middle", "weight")},
-            **{n: (torch.rand(rows, 1), row) for n in ("level", "roughness")},
-        }
-        return write_graph(
-            module.eval,
-            tuple(examples[n][0] for n in names),
-            (names, [f"found_{k}" for k in range(outputs)]),
-            {n: examples[n][1] for n in names},
-            ("model", "a reflectance function that torch.onnx can export"),
-            "build it from element-wise torch operations without Python branches on values",
-        )
-
-    def inline(self, add: Nodes, traced: onnx.ModelProto, prefix: str, given: Sequence[str]) -> list[str]:
-        """Copy the nodes of ``traced`` in, fed with ``given``; the names of what they find."""
-        inputs = (value.name for value in traced.graph.input)
-        found, constants = inline(add, traced.graph, prefix, dict(zip(inputs, given, strict=True)))
-        self.initializers += constants
-        return found
+    return graph.add.many("Loop", ("turns", "", vector, middle), 2, body=body)
 
 
 def stereo_trials() -> list[tuple[Tensor, ...]]:
@@ -331,7 +255,7 @@ def _lit(grey: Tensor) -> Tensor:
     return ((grey / bright - 0.06) / 0.04).clamp(0.0, 1.0)
 
 
-def _middle(grey: Tensor) -> Tensor:
+def middle_ranks(grey: Tensor) -> Tensor:
     """1 for the middle ranks, less the further outside and 0 in shadow; with few lights all of them are needed."""
     ordered = grey.sort(1)[0]
     count = torch.ones_like(grey[:1]).sum(1, keepdim=True)

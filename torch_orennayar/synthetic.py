@@ -135,13 +135,11 @@ class SyntheticCaptures(IterableDataset[dict[str, Tensor]]):
         points = normal[:, inside].T
         view = camera.view_directions(self.size)[0].expand(3, *self.size)[:, inside].T
         ci, co = points @ lights.T, (points * view).sum(1, keepdim=True)
-        facing = (ci > 0) & (co > 0)
         held = ci.clamp_min(1e-3)
         # One material; its grey albedo is painted over with a texture afterwards.
         material = draw_material(draw, 1, mix)
-        shown = torch.where(
-            facing, material.reflect(held, co.clamp_min(0.05).expand_as(ci), view @ lights.T) * held, 0.0
-        )
+        shown = material.reflect(held, co.clamp_min(0.05).expand_as(ci), view @ lights.T) * ci.clamp_min(0)
+        shown = shown * (co > 0)
         texture = _texture(draw, self.size)
         colours = texture[:, inside].T[:, :, None] * shown[:, None]  # (P, 3, K)
         if mix.shadows:
@@ -219,5 +217,5 @@ def _sense_picture(draw: Draw, colours: Tensor, mix: Ingredients) -> Tensor:
     share, floor = (draw.uniform(1, high=most) for most in mix.noise)
     noise = draw.normal(*colours.shape), draw.normal(*colours.shape)
     seen = seen * (1 + share * noise[0]) + 0.3 * floor * noise[1]
-    steps = 2 ** draw.uniform(1, low=mix.bits[0], high=mix.bits[1])
+    steps = (2 ** draw.uniform(1, low=mix.bits[0], high=mix.bits[1])).floor()
     return (seen.clamp(0, 1) * steps).round() / steps

@@ -172,7 +172,7 @@ def shade_pixels(draw: Draw, normals: Tensor, lights: Tensor, mix: Ingredients, 
     ci = (lights * normals[:, None]).sum(2)
     co = normals[:, 2:].clamp_min(0.05).expand_as(ci)
     held = ci.clamp_min(1e-3)
-    direct = torch.where(ci > 0, materials.reflect(held, co, lights[..., 2].contiguous()) * held, 0.0)
+    direct = materials.reflect(held, co, lights[..., 2].contiguous()) * ci.clamp_min(0)
     lit, sent = torch.ones_like(direct), torch.zeros_like(direct)
     for _ in range(mix.shadows):
         stands = draw.happens(0.4, pixels, 1) * (1 - easy)
@@ -218,7 +218,7 @@ def sense(draw: Draw, light: Tensor, mix: Ingredients, easy: Tensor) -> Tensor:
     top = seen.amax(1, keepdim=True)
     clip = draw.happens(mix.clipped, pixels, 1)
     top = torch.where(clip > 0, top * draw.uniform(pixels, 1, low=0.4, high=1.0), top)
-    steps = 2 ** draw.uniform(pixels, 1, low=mix.bits[0], high=mix.bits[1])
+    steps = (2 ** draw.uniform(pixels, 1, low=mix.bits[0], high=mix.bits[1])).floor()
     seen = (seen / top.clamp_min(1e-6)).clamp(0, 1)
     return (seen * steps).round() / steps
 

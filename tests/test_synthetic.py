@@ -1,0 +1,172 @@
+"""Synthetic captures: what is switched off is not there, what is left is the truth, and indices decide everything."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import fields, replace
+
+import pytest
+import torch
+import torch.nn.functional as F
+from hypothesis import given
+from hypothesis import strategies as st
+from torch import Tensor
+from torch.utils.data import DataLoader
+
+import torch_orennayar as ton
+from torch_orennayar import SyntheticCaptures
+from torch_orennayar.synthetic_pixels import Ingredients
+
+PLAIN = Ingredients(
+    rough=0, retro=0, falloff=0, glossy=0, metal=0, sheen=0, shadows=0, bounce=False, ambient=0, light_error=0,
+    intensity_error=0, noise=(0, 0), clipped=0, outliers=0, bits=(24, 24),
+)  # fmt: skip
+
+
+def lambert(sample: dict[str, Tensor]) -> Tensor:
+    return (sample["lights"] * sample["normal"][:, None]).sum(2).clamp_min(0)
+
+
+def scaled(values: Tensor) -> Tensor:
+    return values / values.amax(1, keepdim=True).clamp_min(1e-9)
+
+
+def test_nothing_but_lambert_is_left_of_plain_pixels() -> None:
+    sample = SyntheticCaptures(mix=PLAIN).sample(3)
+    assert torch.allclose(scaled(sample["observed"]), scaled(lambert(sample)), atol=2e-4)
+
+
+def test_rough_pixels_are_those_of_the_model() -> None:
+    """The same draw with roughness allowed: between Lambert and the roughest, and other than Lambert."""
+    sample = SyntheticCaptures(mix=replace(PLAIN, rough=1.0)).sample(3)
+    difference = (scaled(sample["observed"]) - scaled(lambert(sample))).abs()
+    assert 0.02 < difference.mean() < 0.3
+
+
+@pytest.mark.parametrize(
+    ("ingredient", "value"),
+    [("glossy", 1.0), ("sheen", 1.0), ("shadows", 3), ("ambient", 0.2), ("light_error", 0.05), ("retro", 1.0),
+     ("intensity_error", 0.1), ("noise", (0.05, 0.0)), ("noise", (0.0, 0.05)), ("clipped", 1.0), ("outliers", 1.0),
+     ("bits", (3.0, 3.0)), ("falloff", 1.0)],
+)  # fmt: skip
+def test_every_switch_changes_what_is_seen(ingredient: str, value: object) -> None:
+    mix = replace(PLAIN, rough=1.0, easy=0.0)
+    before = SyntheticCaptures(mix=mix).sample(5)
+    after = SyntheticCaptures(mix=replace(mix, **{ingredient: value})).sample(5)  # type: ignore[arg-type]
+    assert torch.equal(before["normal"], after["normal"])
+    assert not torch.equal(before["lights" if ingredient == "light_error" else "observed"],
+                           after["lights" if ingredient == "light_error" else "observed"])  # fmt: skip
+
+
+def test_easy_pixels_have_no_walls_and_no_bad_photographs() -> None:
+    mix = replace(PLAIN, shadows=3, bounce=True, outliers=1.0, sheen=1.0, easy=1.0)
+    sample = SyntheticCaptures(mix=mix).sample(1)
+    assert torch.allclose(scaled(sample["observed"]), scaled(lambert(sample)), atol=2e-4)
+
+
+@given(
+    seed=st.integers(0, 2**31),
+    index=st.integers(0, 2**40),
+    most=st.integers(3, 30),
+    switches=st.dictionaries(
+        st.sampled_from(["rough", "retro", "falloff", "glossy", "metal", "sheen", "clipped", "outliers", "easy"]),
+        st.sampled_from([0.0, 0.5, 1.0]),
+    ),
+)
+def test_any_mix_gives_sound_samples(seed: int, index: int, most: int, switches: dict[str, float]) -> None:
+    captures = SyntheticCaptures(seed=seed, mix=Ingredients(**switches), lights=(3, most), observations=300)  # type: ignore[arg-type]
+    sample, again = captures.sample(index), captures.sample(index)
+    assert all(torch.equal(sample[name], again[name]) for name in sample)
+    observed, lights, normal = sample["observed"], sample["lights"], sample["normal"]
+    assert observed.shape == lights.shape[:2]
+    assert 3 <= observed.shape[1] <= most
+    assert observed.min() >= 0
+    assert observed.max() <= 1
+    assert torch.allclose(lights.norm(dim=2), torch.ones_like(observed), atol=1e-5)
+    assert torch.allclose(normal.norm(dim=1), torch.ones(len(normal)), atol=1e-5)
+    assert (normal[:, 2] > 0).all()
+
+
+def test_workers_and_ranks_share_the_indices() -> None:
+    """Two ranks with two workers each see what one process sees, every capture once."""
+    alone = [s["observed"] for s in SyntheticCaptures(seed=4, observations=60, length=9)]
+    together: list[Tensor] = []
+    for rank in range(2):
+        captures = SyntheticCaptures(seed=4, observations=60, length=9, rank=rank, world=2)
+        together += [s["observed"] for s in DataLoader(captures, batch_size=None, num_workers=2)]
+    assert sorted(float(t.sum()) for t in together) == sorted(float(t.sum()) for t in alone)
+    later = next(iter(SyntheticCaptures(seed=4, observations=60, start=5)))
+    assert torch.equal(later["observed"], alone[5])
+
+
+def test_seeds_and_indices_differ() -> None:
+    sums = {
+        float(SyntheticCaptures(seed=s, observations=60).sample(k)["observed"].sum()) for s in (0, 1) for k in (0, 1)
+    }
+    assert len(sums) == 4
+
+
+@pytest.mark.parametrize(
+    "options", [{"kind": "films"}, {"lights": (2, 9)}, {"lights": (9, 5)}, {"rank": 2, "world": 2}]
+)
+def test_mistakes(options: dict[str, object]) -> None:
+    with pytest.raises(ton.RangeError):
+        SyntheticCaptures(**options)  # type: ignore[arg-type]
+
+
+class TestImages:
+    @pytest.mark.parametrize("index", range(6))
+    def test_plain_pictures_are_albedo_times_cosine(self, index: int) -> None:
+        sample = SyntheticCaptures("images", mix=PLAIN, lights=(4, 9), size=(40, 48)).sample(index)
+        count = len(sample["lights"])
+        assert sample["images"].shape == (count, 3, 40, 48)
+        inside = sample["mask"][0]
+        assert 100 < int(inside.sum()) < 40 * 48
+        normal = sample["normal"][:, inside]
+        assert torch.allclose(normal.norm(dim=0), torch.ones(normal.shape[1]), atol=1e-5)
+        expected = sample["albedo"][:, inside] * (sample["lights"] @ normal).clamp_min(0)[:, None]  # (K, 3, P)
+        seen = sample["images"][:, :, inside]
+        kept = (seen > 0) & (
+            seen < 1
+        )  # the brightest thousandth saturates; pixels turned away from the camera are dark
+        ratio = seen[kept] / expected[kept]
+        assert torch.allclose(ratio, ratio.median().expand_as(ratio), rtol=1e-2)
+        assert (sample["images"][:, :, ~inside] == 0).all()
+
+    def test_photometric_stereo_finds_the_truth(self) -> None:
+        """With roughness, texture and noise, without shadows and highlights."""
+        mix = replace(PLAIN, rough=1.0, noise=(0.005, 0.0))
+        sample = SyntheticCaptures("images", mix=mix, lights=(30, 30), size=(64, 64)).sample(2)
+        found = ton.photometric_stereo(sample["images"], sample["lights"], sample["mask"], model="vcavity")
+        error = ton.angular_error(found.normal, sample["normal"], sample["mask"]).summary()
+        assert error["median"] < 2.5
+        assert math.degrees(float((found.roughness - sample["roughness"]).abs().max())) < 8
+
+    def test_cast_shadows_only_take_light_away(self) -> None:
+        captures = [SyntheticCaptures("images", mix=replace(PLAIN, shadows=n), lights=(12, 12)) for n in (0, 1)]
+        lit, shaded = (torch.stack([c.sample(k)["images"].flatten() for k in (2, 5, 8)]) for c in captures)
+        dark = shaded < 0.5 * lit
+        assert dark.float().mean() > 0.002
+        assert (shaded <= lit * 1.05 + 1e-3)[~dark].all()
+
+    def test_given_meshes_are_used_and_turned(self) -> None:
+        corners = torch.tensor([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
+        faces = torch.tensor([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]])
+        captures = SyntheticCaptures("images", mix=PLAIN, lights=(3, 3), meshes=[(corners, faces)])
+        masks = [captures.sample(k)["mask"] for k in range(3)]
+        assert all(100 < int(m.sum()) < 3000 for m in masks)
+        assert not torch.equal(masks[0], masks[1])
+
+    @given(index=st.integers(0, 2**31))
+    def test_any_picture_is_sound(self, index: int) -> None:
+        sample = SyntheticCaptures("images", lights=(3, 8), size=(24, 32)).sample(index)
+        assert all(bool(value.isfinite().all()) for value in sample.values())
+        assert sample["images"].min() >= 0
+        assert sample["images"].max() <= 1
+        assert bool(sample["mask"].any())
+        assert F.normalize(sample["lights"], dim=1).allclose(sample["lights"], atol=1e-5)
+
+
+def test_every_ingredient_is_documented() -> None:
+    for field in fields(Ingredients):
+        assert f"    {field.name}: " in (Ingredients.__doc__ or "")
