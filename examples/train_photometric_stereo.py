@@ -26,7 +26,7 @@ from torch import Tensor
 from torch_orennayar import SyntheticCaptures, TorchOrenNayarError
 from torch_orennayar.errors import FileError
 from torch_orennayar.files import atomic_path
-from torch_orennayar.progress import say, track
+from torch_orennayar.progress import track
 from torch_orennayar.set_network import SetNetwork, save_network
 
 RATE, DECAY, AVERAGE, CLIP = 2e-3, 1e-3, 0.995, 1.0
@@ -141,14 +141,14 @@ def resume(folder: Path, training: Training) -> None:
             if same:
                 training.load(state)
         except Exception as error:  # a torn file raises anything
-            say(f"{file} cannot be read ({type(error).__name__}): trying the one before")
+            print(f"{file} cannot be read ({type(error).__name__}): trying the one before", flush=True)
             broken.append(f"{file}: {type(error).__name__}: {error}")
             continue
         if not same:
             raise FileError(
                 str(file), expected=str(task(training.options)), got=str(state["task"]), mend="use another --output"
             )
-        say(f"going on from step {training.step}")
+        print(f"going on from step {training.step}", flush=True)
         return
     if broken:
         raise FileError(str(folder), expected="a checkpoint", got="; ".join(broken), mend="use another --output")
@@ -195,7 +195,7 @@ def train(options: argparse.Namespace) -> Training:
                 save(folder, training)
         if rank == 0:
             save_network(folder / "network.pt", training.average)
-            say(f"{training.step} steps, {time.process_time() - spent:.0f} CPU seconds here; {folder / 'network.pt'}")
+            print(f"{training.step} steps, {time.process_time() - spent:.0f} CPU seconds here; {folder / 'network.pt'}")
     return training
 
 
