@@ -131,6 +131,12 @@ def fit(
     return whole
 
 
+def take(fits: Sequence[PixelFit], which: Tensor) -> PixelFit:
+    """Of every pixel the fit whose index is in ``which`` (P,)."""
+    values = {f.name: torch.stack([getattr(fit, f.name) for fit in fits]) for f in fields(PixelFit)}
+    return PixelFit(**{n: v.gather(0, which[None, :, None].expand(1, -1, v.shape[2]))[0] for n, v in values.items()})
+
+
 def least_squares(grey: Tensor, rays: Rays) -> PixelFit:
     """Plain Lambertian least squares over all observations."""
     scaled = _linear(grey, rays, torch.ones_like(grey))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import fields
 
 import torch
 from torch import Tensor
@@ -16,13 +15,14 @@ from .evaluation import working_dtype
 from .material import Material, Rays
 from .neighbours import Grid, agree, neighbourhood_normals, shared_misfit
 from .progress import track
+from .roughness_map import RADIUS, at_levels, blend, level_cost
 
 BAND, BAND_ACCELERATOR = 2**26, 2**30
 """Observations that are solved together: what bounds the memory of large captures."""
 SWEEPS = 8
 """Steps in which neighbours pull at pixels that fit badly."""
-OVERLAP = SWEEPS + 5
-"""Rows beyond a band that its pixels hear of: through the sweeps, the choice of starts and the shared misfit."""
+OVERLAP = SWEEPS + 5 + RADIUS
+"""Rows beyond a band that its pixels hear of: through sweeps, choice of starts, shared misfit and shared roughness."""
 
 
 def solve_bands(images: Tensor, lights: Tensor, inside: Tensor, material: Material, used: str) -> dict[str, Tensor]:
@@ -57,6 +57,16 @@ def band_height(count: int, inside: Tensor) -> int:
 
 def _solve(images: Tensor, lights: Tensor, inside: Tensor, material: Material, used: str) -> dict[str, Tensor]:
     """Maps (C, H, W) of one band; ``albedo_grey`` is what the grey observations say."""
+    if not material.varied:
+        return _solve_one(images, lights, inside, material, used)[0]
+    found = [_solve_one(images, lights, inside, level, used) for level in track(at_levels(material), "roughness")]
+    return blend([maps for maps, _ in found], torch.stack([cost for _, cost in found]), Grid(inside))
+
+
+def _solve_one(
+    images: Tensor, lights: Tensor, inside: Tensor, material: Material, used: str
+) -> tuple[dict[str, Tensor], Tensor]:
+    """Maps of one band with one roughness, and how badly it fits each pixel, (P,)."""
     grid = Grid(inside)
     grey = gather(images, inside.flatten())
     rays = Rays.of(gather_directions(lights, inside.flatten()).to(grey))
@@ -74,7 +84,8 @@ def _solve(images: Tensor, lights: Tensor, inside: Tensor, material: Material, u
     if material.exponents:
         scale = strengths.new_tensor([8 / (exponent + 8) for exponent in material.exponents])  # blinn_phong's factor
         maps["specular"] = grid.draw((strengths * scale[:, None]).flatten(1))
-    return maps
+    maps["roughness"] = grid.draw(torch.full_like(fitted.albedo, material.roughness))
+    return maps, level_cost(fitted, grey, rays, material)
 
 
 def _fit(grey: Tensor, rays: Rays, material: Material, used: str, grid: Grid) -> PixelFit:
@@ -95,9 +106,7 @@ def _take_best(fits: Sequence[PixelFit], grey: Tensor, rays: Rays, material: Mat
     """For every pixel the fit of low cost that agrees with the neighbours."""
     noise = torch.stack([f.noise for f in fits]).amin(0)
     costs = [robust_fit.common_cost(f, noise, grey, rays, material) for f in fits]
-    taken = agree([f.normal for f in fits], costs, grid)
-    values = {f.name: torch.stack([getattr(fit, f.name) for fit in fits]) for f in fields(PixelFit)}
-    return PixelFit(**{n: v.gather(0, taken[None, :, None].expand(1, -1, v.shape[2]))[0] for n, v in values.items()})
+    return robust_fit.take(fits, agree([f.normal for f in fits], costs, grid))
 
 
 def _colours(

@@ -27,17 +27,20 @@ class Material:
             surface darkens toward grazing light, as under glaze or varnish, whose interface turns light away
             there. For ``lambert``; 1 is Lambert itself.
         exponents: of Blinn's lobes, powers of two.
+        varied: roughness differs over the object; `roughness_map.LEVELS` stand for it, not ``roughness``.
     """
 
     model: str = "lambert"
     roughness: float = 0.0
     falloff: float = 1.0
     exponents: tuple[int, ...] = ()
+    varied: bool = False
 
     @property
     def name(self) -> str:
         """The kind of material, without its numbers."""
         base = "lambert with falloff" if self.falloff != 1 else self.model
+        base += " of varied roughness" if self.varied else ""
         return base + ("", " + 1 lobe", " + 2 lobes")[len(self.exponents)]
 
     def __str__(self) -> str:

@@ -81,6 +81,7 @@ def solve_network(
         "albedo_grey": grid.draw(albedo.mean(1, keepdim=True)),
         "residual": grid.draw(residual),
         "confidence": grid.draw(1 / (1 + (error / math.radians(2)) ** 2)),
+        "roughness": grid.draw(torch.zeros_like(error)),
         "error": grid.draw(error),
     }
 

@@ -63,7 +63,7 @@ class PixelGraph:
         lights = F.normalize(torch.rand(7, 3) + torch.tensor([0.0, 0, 1]), dim=1)
         row: dict[int, object] = {} if rows else {0: pixels}
         number, area = rows or 11, {1: height, 2: width}
-        examples: dict[str, tuple[Tensor, dict[int, object]]] = {
+        examples: dict[str, tuple[Tensor, Any]] = {
             "seen": (torch.rand(number, 3, 7), row | {1: channels, 2: count}),
             "lights": (lights, {0: count}),
             "vector": (torch.rand(number, 3), row),

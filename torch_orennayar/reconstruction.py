@@ -21,7 +21,8 @@ class Reconstruction:
     Attributes:
         normal: (3, H, W) unit normals in the camera frame, 0 outside the mask.
         albedo: (C, H, W) linear, in the unit of the images, 0 outside the mask.
-        roughness: (1, H, W) radians, 0 for a Lambertian result and outside the mask.
+        roughness: (1, H, W) radians, 0 for a Lambertian result and outside the mask; one number, or a smooth map where
+            the photographs ask for it.
         residual: (1, H, W) mean absolute difference of grey observation and model over all lights.
         confidence: (1, H, W) in [0, 1]: ``1 / (1 + (e / 2 deg)**2)`` with e the standard error of the
             normal that the fit's curvature and residuals predict, where misfit that neighbours share counts
@@ -36,9 +37,9 @@ class Reconstruction:
         exponents: of the lobes (one tuple per capture of a batch; a lobe that a capture has not is 0).
         falloff: exponent k of Minnaert's law, the diffuse part times ``(n.l n.v)**(k - 1)``; 1 for none (one
             per capture of a batch, as a tuple).
-        roughness_error: standard error of the roughness in radians, by the fit's curvature and by how far parts
-            of the pixels differ; 0 without a roughness, infinite where these photographs do not tell it (few
-            lights, all near the view); one per capture of a batch, as a tuple.
+        roughness_error: standard error of the roughness in radians (of a map: of a pixel's), by the fit's curvature and
+            by how far parts of the pixels differ; 0 without a roughness, infinite where these photographs do not tell
+            it (few lights, all near the view); one per capture of a batch, as a tuple.
         depth: None from photometric stereo; `integrate_normals` gives it.
     """
 

@@ -79,6 +79,7 @@ def write_reconstruction(
         "model": found.model,
         "scores": found.scores,
         "roughness_degrees": math.degrees(arrays["roughness"].max().item()),
+        "roughness_range_degrees": np.percentile(np.degrees(arrays["roughness"][mask]), (5, 95)).round(2).tolist(),
         "roughness_error_degrees": _in_degrees(found.roughness_error),
         "falloff": found.falloff,
         "exponents": list(found.exponents),
@@ -146,7 +147,9 @@ def _say_roughness(numbers: dict[str, Any]) -> str:
     if numbers["model"] == "lambert":
         return "none"
     error = numbers["roughness_error_degrees"]
-    return f"{numbers['roughness_degrees']:.1f} degrees, " + (
+    least, most = numbers["roughness_range_degrees"]
+    one = most - least < 0.1
+    return (f"{most:.1f} degrees, " if one else f"{least:.1f} to {most:.1f} degrees, ") + (
         "not told by the photographs" if error is None else f"standard error {error:.1f}"
     )
 

@@ -15,6 +15,7 @@ from ._robust_fit import PixelFit, mean_of
 from .errors import CaptureError
 from .material import Material, Rays
 from .progress import track
+from .roughness_map import LEVELS, at_levels, level_cost, nearest
 
 AUTO_MODEL = "vcavity"
 """The Oren-Nayar model that ``auto`` weighs against Lambert: the one nearest to the theory."""
@@ -36,7 +37,7 @@ MAX_CONDITION = 30
 LOBES: tuple[tuple[tuple[int, ...], ...], ...] = (((),), ((64,), (32,), (16,), (8,)), ((16, 128), (8, 64)))
 """Exponents that are tried for no lobe, one and two, sharper ones first."""
 FALLOFFS = (1.05, 1.1, 1.15, 1.2, 1.3, 1.4)
-ROUGHNESSES = tuple(math.radians(s) for s in (8, 16, 24, 32, 40, 48, 56, 64))
+ROUGHNESSES = LEVELS[1:]
 _FINE = math.radians(4)
 
 
@@ -55,8 +56,11 @@ class Choice:
     reason: str
 
 
-def choose(sample: Tensor, rays: Rays, seed: int) -> Choice:
-    """The simplest sufficient material for pixels (P, K), by the error on lights that were held out."""
+def choose(sample: Tensor, places: Tensor, rays: Rays, seed: int) -> Choice:
+    """The simplest sufficient material for pixels (P, K), by the error on lights that were held out.
+
+    ``places`` (P, 2) are the pixels' rows and columns: neighbours decide together on a roughness that varies.
+    """
     count = len(rays)
     if count < MIN_LIGHTS_HELD_OUT:
         return Choice(
@@ -66,11 +70,12 @@ def choose(sample: Tensor, rays: Rays, seed: int) -> Choice:
     if held is None:
         return Choice(Material(), {}, "lambert: no lights can be held out, the others would lie in one plane.")
     folds = [_Fold.of(sample, rays, out) for out in held]
+    near = nearest(places)
     tried: dict[Material, float] = {}
 
     def score(material: Material) -> float:
         if material not in tried:
-            (first, missed), (second, missed_too) = (fold.trial(material) for fold in folds)
+            (first, missed), (second, missed_too) = (fold.predict(material, near) for fold in folds)
             apart = torch.atan2(
                 torch.linalg.cross(first.normal, second.normal).norm(dim=1), (first.normal * second.normal).sum(1)
             )
@@ -79,7 +84,7 @@ def choose(sample: Tensor, rays: Rays, seed: int) -> Choice:
         return tried[material]
 
     lobes = count >= MIN_LIGHTS_LOBES
-    kinds = track(_kinds(score, lobes=lobes), "weighing materials", 9 if lobes else 3)
+    kinds = track(_kinds(score, lobes=lobes), "weighing materials", 12 if lobes else 4)
     best = [min(kind, key=score) for kind in kinds]
     scores = {material.name: score(material) for material in best}
     chosen = _first_sufficient(best, score)
@@ -103,29 +108,53 @@ class _Fold:
     held: Rays
     unit: Tensor
     start: PixelFit
+    fits: dict[Material, PixelFit]
 
     @staticmethod
     def of(sample: Tensor, rays: Rays, out: Tensor) -> _Fold:
         shown, trained = sample[:, ~out].contiguous(), rays.under(~out)
         start = robust_fit.fit(shown, trained, Material(), used="middle", steps=8)
         lit = robust_fit.in_light(sample)[:, out]
-        return _Fold(shown, sample[:, out], lit, trained, rays.under(out), mean_of(sample), start)
+        return _Fold(shown, sample[:, out], lit, trained, rays.under(out), mean_of(sample), start, {})
 
-    def trial(self, material: Material) -> tuple[PixelFit, float]:
+    def predict(self, material: Material, near: Tensor) -> tuple[PixelFit, float]:
         """The fit to the lights shown, and its error on the others."""
-        fitted = robust_fit.fit(self.shown, self.trained, material, start=self.start, steps=12)
-        return fitted, error(self.hidden, robust_fit.predict(fitted, self.held, material), self.unit, self.lit)
+        if not material.varied:
+            fitted = self._fit(material)
+            predicted = robust_fit.predict(fitted, self.held, material)
+        else:  # every pixel the level that suits its neighbours best under the lights shown
+            levels = at_levels(material)
+            fits = [self._fit(level) for level in levels]
+            costs = [level_cost(f, self.shown, self.trained, m) for f, m in zip(fits, levels, strict=True)]
+            taken = torch.stack(costs)[:, near].mean(2).argmin(0)
+            fitted = robust_fit.take(fits, taken)
+            shown = [robust_fit.predict(f, self.held, m) for f, m in zip(fits, levels, strict=True)]
+            predicted = torch.stack(shown)[taken, torch.arange(len(taken), device=taken.device)]
+        return fitted, error(self.hidden, predicted, self.unit, self.lit)
+
+    def _fit(self, material: Material) -> PixelFit:
+        if material not in self.fits:
+            self.fits[material] = robust_fit.fit(self.shown, self.trained, material, start=self.start, steps=12)
+        return self.fits[material]
 
 
 def _kinds(score: Callable[[Material], float], *, lobes: bool) -> Iterator[Sequence[Material]]:
     """Candidates by kind, the simplest kind first: lobes cost each pixel a number, falloff and roughness the object."""
+    varied = True
     for sets in LOBES if lobes else LOBES[:1]:
         # Of highlights that explain as well the sharpest: a broad one can pass for matt light.
         plain = [Material(exponents=exponents) for exponents in sets]
         base = _first_sufficient(plain, score)
-        yield [base]
-        yield _descend([replace(base, falloff=k) for k in FALLOFFS], score)
-        yield _descend([replace(base, model=AUTO_MODEL, roughness=s) for s in ROUGHNESSES], score)
+        alike = [
+            [base],
+            _descend([replace(base, falloff=k) for k in FALLOFFS], score),
+            _descend([replace(base, model=AUTO_MODEL, roughness=s) for s in ROUGHNESSES], score),
+        ]
+        yield from alike
+        if varied:  # with highlights only where it was worth a trial without
+            last = replace(base, model=AUTO_MODEL, varied=True)
+            yield [last]
+            varied = score(last) < (1 - TOLERANCE) * min(score(m) for kind in alike for m in kind)
 
 
 def _first_sufficient(materials: Sequence[Material], score: Callable[[Material], float]) -> Material:
@@ -144,6 +173,8 @@ def _descend(path: Sequence[Material], score: Callable[[Material], float]) -> Se
 
 def refine(sample: Tensor, rays: Rays, material: Material) -> Material:
     """Falloff or roughness that explains the sample best: from the material's own, finer steps and a parabola."""
+    if material.varied:
+        return material
     if material.model != "lambert":
         grid, step, name, least = ROUGHNESSES, _FINE, "roughness", 0.0
     elif material.falloff != 1:
@@ -249,12 +280,17 @@ def roughness_error(sample: Tensor, rays: Rays, material: Material) -> float:
     The curvature of the fit, where what normals, albedo and lobes can imitate is taken off pixel by pixel; and how far
     the roughnesses of four quarters of the pixels lie apart, which sees a cost with several valleys.
     """
-    fitted = robust_fit.fit(sample, rays, material)
-    parts = robust_fit.chunks(sample)
-    told = sum(robust_fit.information(fitted[part], sample[part], rays.at(part), material) for part in parts)
-    curvature = 1 / math.sqrt(told) if told > 0 else math.inf
+    curvature = nearby_error(sample, rays, material, len(sample))
     size = -(-len(sample) // QUARTERS)
     split = [slice(i, i + size) for i in range(0, len(sample), size)]
     quarters = [refine(sample[part], rays.at(part), material).roughness for part in split]
     apart = torch.tensor(quarters).std(correction=1).item() / math.sqrt(len(quarters)) if len(quarters) > 1 else 0.0
     return max(curvature, apart)
+
+
+def nearby_error(sample: Tensor, rays: Rays, material: Material, count: int) -> float:
+    """Standard error of a roughness that ``count`` pixels such as these share, radians, by the curvature of the fit."""
+    fitted = robust_fit.fit(sample, rays, material)
+    parts = robust_fit.chunks(sample)
+    told = sum(robust_fit.information(fitted[part], sample[part], rays.at(part), material) for part in parts)
+    return math.sqrt(len(sample) / (told * count)) if told > 0 else math.inf

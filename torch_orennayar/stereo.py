@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
+from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -17,6 +18,7 @@ from .material import Material, Rays
 from .network_stereo import NETWORK, TRAINED_LIGHTS, solve_network
 from .reconstruction import Reconstruction, stack
 from .reflectance import get_model
+from .roughness_map import RADIUS
 from .selection import (
     IDENTIFIABLE,
     MAX_CONDITION,
@@ -26,6 +28,7 @@ from .selection import (
     choose,
     condition,
     find_roughness,
+    nearby_error,
     refine,
     roughness_error,
 )
@@ -51,11 +54,11 @@ def photometric_stereo(
     goes on with Gauss-Newton steps under Geman-McClure weights: for ``"lambert"`` on those (which leave
     out highlights), else on all that are not in shadow. With highlights it begins from three starts and takes
     what costs little and agrees with the neighbours. In the last steps the neighbours' normals pull at pixels, the
-    more the worse these fit. A model with roughness gets one roughness per capture, of at most 68 degrees.
+    more the worse these fit. A named model with roughness gets one roughness per capture, of at most 68 degrees.
 
-    ``auto`` weighs three diffuse parts (Lambert; Lambert with Minnaert's falloff, as under glaze; ``vcavity``), each
-    with no, one and two specular lobes, by their error on lights that were held out, and takes the simplest within
-    2 % of the best.
+    ``auto`` weighs four diffuse parts (Lambert; Lambert with Minnaert's falloff, as under glaze; ``vcavity`` with one
+    roughness, and with a smooth map of it), each with no, one and two specular lobes, by their error on lights that
+    were held out, and takes the simplest within 2 % of the best.
 
     Models with inter-reflection take albedo in the unit of the images (1 is white), cut to [0, 1]. Not
     differentiable. float64 is solved in float64, all else in float32. The same seed gives the same
@@ -115,13 +118,14 @@ def photometric_stereo(
     if robust and model != NETWORK:
         sample = gather(images, picked)
         if model == "auto":
-            chosen = choose(sample, seen_by, seed)
+            places = torch.stack((picked // inside.shape[1], picked % inside.shape[1]), 1)
+            chosen = choose(sample, places, seen_by, seed)
             scores = chosen.scores
             report.append(chosen.reason)
             material = refine(sample, seen_by, chosen.material)
         elif model != "lambert":
             material = find_roughness(sample, seen_by, model)
-        if material.model != "lambert":
+        if material.model != "lambert" and not material.varied:
             uncertain = _report_roughness(sample, seen_by, material, report)
         used = "middle" if model == "lambert" else "lit"
         _report_falloff(material, report)
@@ -132,12 +136,14 @@ def photometric_stereo(
         maps = solve_network(images, lights, inside)
     else:
         maps = solve_bands(images, lights, inside, material, used)
+        if material.varied:
+            uncertain = _report_map(sample, seen_by, material, maps["roughness"][:, inside], report)
     _report_doubts(dark, maps, len(images), material.model, report)
     hopeless = dark if len(images) > 3 else inside
     return Reconstruction(
         normal=maps["normal"],
         albedo=maps["albedo"],
-        roughness=inside[None].to(maps["normal"]) * material.roughness,
+        roughness=maps["roughness"],
         residual=maps["residual"],
         confidence=maps["confidence"].masked_fill_(hopeless, 0),
         model=material.model,
@@ -169,6 +175,19 @@ def _report_roughness(sample: Tensor, rays: Rays, material: Material, report: li
         report.append(f"take the roughness as unknown: {' and '.join(reasons)}.")
         warnings.warn(report[-1], stacklevel=4)
         return math.inf
+    return uncertain
+
+
+def _report_map(sample: Tensor, rays: Rays, material: Material, found: Tensor, report: list[str]) -> float:
+    """Say which roughnesses (1, P) were found; the standard error of a pixel's."""
+    least, middle, most = found.flatten().quantile(found.new_tensor((0.05, 0.5, 0.95))).tolist()
+    typical = replace(material, roughness=middle, varied=False)
+    uncertain = nearby_error(sample, rays, typical, (2 * RADIUS + 1) ** 2)
+    report.append(
+        f"roughness differs over the object, from {math.degrees(least):.1f} to {math.degrees(most):.1f} degrees (5 % "
+        f"and 95 % of the pixels): found for every pixel together with those up to {RADIUS} rows and columns away; "
+        f"standard error {math.degrees(uncertain):.1f} degrees from the curvature of the fit."
+    )
     return uncertain
 
 
