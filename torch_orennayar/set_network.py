@@ -1,6 +1,6 @@
 """A small network that reads one pixel under any number of lights, in any order, and tells its normal.
 
-Every light is a token of twelve numbers. Lights are first turned about the viewing axis so that a least-squares normal
+Every light is a token of twelve numbers. Lights are first turned about the viewing axis so that a robust Lambertian normal
 leans to the right, and the answer is turned back: turning the scene turns the answer, exactly.
 """
 
@@ -18,6 +18,8 @@ from .errors import FileError
 from .files import atomic_path
 
 FEATURES = 12
+ROUNDS = 4
+"""Of reweighting, before the network looks."""
 WEIGHTS = Path(__file__).with_name("set_network.pt")
 """What `examples/train_photometric_stereo.py` wrote."""
 
@@ -27,7 +29,7 @@ class Tokens(NamedTuple):
 
     Attributes:
         values: (P, K, 12).
-        start: (P, 3), the least-squares normal, turned so that its y is 0.
+        start: (P, 3), the robust Lambertian normal, turned so that its y is 0.
         turn: (P, 2), cosine and sine of its azimuth.
     """
 
@@ -99,7 +101,8 @@ def make_tokens(observed: Tensor, lights: Tensor) -> Tokens:
     mean = observed.mean(1, keepdim=True).clamp_min(1e-9)
     ratio = (observed / mean).clamp(0, 6)
     rank = _ranks(observed)
-    vector = _least_squares(ratio, lights, torch.where((rank > 0.2) & (rank < 0.9), 1.0, 0.02))
+    lit = ratio > 0.08 * ratio.amax(1, keepdim=True)
+    vector = _robust(ratio, lights, torch.where((rank > 0.2) & (rank < 0.8) & lit, 1.0, 0.02))
     length = vector.norm(dim=1, keepdim=True).clamp_min(1e-6)
     normal = upward(vector)
     flat = normal[:, :2].norm(dim=1, keepdim=True)
@@ -134,6 +137,17 @@ def _ranks(observed: Tensor) -> Tensor:
     lower = (observed[:, None, :] < observed[:, :, None]).sum(2)
     upto = (observed[:, None, :] <= observed[:, :, None]).sum(2)
     return (lower + upto).to(observed) / (2 * observed.shape[1])
+
+
+def _robust(ratio: Tensor, lights: Tensor, weight: Tensor) -> Tensor:
+    """Albedo times normal, (P, 3): least squares, then some rounds in which what fits badly counts less."""
+    vector = _least_squares(ratio, lights, weight)
+    for _ in range(ROUNDS):
+        missed = (ratio - (lights * vector[:, None]).sum(2).clamp_min(0)).abs()
+        middle = missed.sort(1)[0][:, missed.shape[1] // 2 :][:, :1]
+        share = missed / (2 * (1.4826 * middle).clamp_min(0.02))
+        vector = _least_squares(ratio, lights, weight / (1 + share * share) ** 2)
+    return vector
 
 
 def _least_squares(ratio: Tensor, lights: Tensor, weight: Tensor) -> Tensor:

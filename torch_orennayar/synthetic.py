@@ -213,7 +213,7 @@ def _sense_picture(draw: Draw, colours: Tensor, mix: Ingredients) -> Tensor:
     """A camera's view of colours (P, 3, K): lights a little wrong, noise, steps."""
     count = colours.shape[2]
     top = colours.flatten().quantile(0.999) if colours.numel() < 2**23 else colours.amax()
-    seen = colours / top.clamp_min(1e-9) * (1 + mix.intensity_error * draw.normal(1, 1, count))
+    seen = colours / top.clamp_min(1e-9) * (1 + mix.intensity_error * draw.uniform(1, 1, count, low=-1))
     share, floor = (draw.uniform(1, high=most) for most in mix.noise)
     noise = draw.normal(*colours.shape), draw.normal(*colours.shape)
     seen = seen * (1 + share * noise[0]) + 0.3 * floor * noise[1]

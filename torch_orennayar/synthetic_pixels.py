@@ -33,12 +33,12 @@ class Ingredients:
         bounce: whether walls send light on.
         ambient: most light from everywhere, as a share of the mean.
         light_error: largest error of light directions, radians.
-        intensity_error: standard deviation of the lights' brightness as told.
+        intensity_error: largest error of the lights' brightness as told.
         noise: most multiplicative and additive noise.
         clipped: share of saturated pixels.
         outliers: share of captures in which some photographs are capped or of wrong brightness.
         bits: fewest and most bits of a pixel's brightest value.
-        easy: share of pixels without shadows, sheen or outliers.
+        easy: share of pixels without shadows, sheen and outliers, and with little noise.
     """
 
     roughest: float = 1.0
@@ -207,13 +207,13 @@ def sense(draw: Draw, light: Tensor, mix: Ingredients, easy: Tensor) -> Tensor:
     """What a camera makes of light (P, K): exposure errors, noise, saturation, steps, photographs gone wrong."""
     pixels, count = light.shape
     level = light.mean(1, keepdim=True).clamp_min(1e-9)
-    seen = light / level * (1 + mix.intensity_error * draw.normal(pixels, count))
+    seen = light / level * (1 + mix.intensity_error * draw.uniform(pixels, count, low=-1))
     wrong = draw.happens(mix.outliers, pixels, 1) * draw.uniform(pixels, 1, high=0.35) * (1 - easy)
     hit = (draw.uniform(pixels, count) < wrong).float()
     capped = torch.minimum(seen, draw.uniform(pixels, 1, low=0.3, high=1.0))
     scaled = seen * draw.logarithmic(pixels, count, low=0.3, high=3.0)
     seen = torch.where(hit > 0, torch.where(draw.uniform(pixels, 1) < 0.5, capped, scaled), seen)
-    share, floor = (draw.uniform(pixels, 1, high=most) for most in mix.noise)
+    share, floor = (draw.uniform(pixels, 1, high=most) * (1 - 0.7 * easy) for most in mix.noise)
     seen = seen * (1 + share * draw.normal(pixels, count)) + floor * draw.normal(pixels, count)
     top = seen.amax(1, keepdim=True)
     clip = draw.happens(mix.clipped, pixels, 1)
