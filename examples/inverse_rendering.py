@@ -14,7 +14,7 @@ import torch
 import torch.nn.functional as F
 
 import torch_orennayar as ton
-from torch_orennayar.figures import save_sheet, show_light
+from torch_orennayar.figures import save_curves, save_sheet, show_light
 
 STEPS = 120
 PIXELS = 1500
@@ -72,24 +72,12 @@ def main(source: str, folder: str) -> dict[str, float]:
 
     target = Path(folder)
     target.mkdir(parents=True, exist_ok=True)
-    draw_curve(target / "loss.png", losses)
+    save_curves(target / "loss.png", {"all together": losses})
     top = capture.images[HELD_OUT].amax()
     relit = final.shade(true_lights[HELD_OUT : HELD_OUT + 1])[0]
     pictures = {"photograph, held out": capture.images[HELD_OUT] / top, "relit": relit / top}
     save_sheet(target / "relit.png", [{k: show_light(v, capture.mask) for k, v in pictures.items()}])
     return result
-
-
-def draw_curve(path: Path, losses: list[float]) -> None:
-    """The loss by step."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(5, 3), layout="constrained")
-    axis = figure.subplots()
-    axis.semilogy(losses)
-    axis.set_xlabel("step")
-    axis.set_ylabel("loss")
-    figure.savefig(path, dpi=130)
 
 
 if __name__ == "__main__":

@@ -115,6 +115,20 @@ def save_bars(path: PathLike, values: Mapping[str, float], *, unit: str, highlig
     return _save(figure, path)
 
 
+def save_curves(path: PathLike, curves: Mapping[str, Sequence[float]]) -> Path:
+    """Losses by step, on a logarithmic scale."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(5, 3), layout="constrained")
+    axis = figure.subplots()
+    for name, losses in curves.items():
+        axis.semilogy(losses, label=name, linewidth=1)
+    axis.set(xlabel="step", ylabel="loss")
+    axis.legend(fontsize=8)
+    axis.spines[["top", "right"]].set_visible(False)
+    return _save(figure, path)
+
+
 def _grid(rows: int, columns: int) -> tuple[Figure, Sequence[Sequence[Axes]]]:
     from matplotlib.figure import Figure
 

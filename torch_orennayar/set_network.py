@@ -1,7 +1,7 @@
 """A small network that reads one pixel under any number of lights, in any order, and tells its normal.
 
-Every light is a token of twelve numbers. Lights are first turned about the viewing axis so that a robust Lambertian normal
-leans to the right, and the answer is turned back: turning the scene turns the answer, exactly.
+Every light is a token of twelve numbers. Lights are first turned about the viewing axis so that a robust Lambertian
+normal leans to the right, and the answer is turned back: turning the scene turns the answer, exactly.
 """
 
 from __future__ import annotations
