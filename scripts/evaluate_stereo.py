@@ -28,7 +28,14 @@ from scipy.stats import spearmanr
 from timing import alone, forget_peak, peak_memory
 from torch import Tensor
 
-from torch_orennayar import CaptureError, Reconstruction, angular_error, load_capture, photometric_stereo
+from torch_orennayar import (
+    CaptureError,
+    Reconstruction,
+    angular_error,
+    load_capture,
+    near_light_stereo,
+    photometric_stereo,
+)  # fmt: skip
 from torch_orennayar.calibrate import own_intensities
 from torch_orennayar.progress import track
 from torch_orennayar.selection import condition
@@ -41,6 +48,7 @@ METHODS: dict[str, Solve] = {
     "lambert": lambda images, lights, mask: photometric_stereo(images, lights, mask, model="lambert"),
     "qualitative": lambda images, lights, mask: photometric_stereo(images, lights, mask, model="qualitative"),
     "vcavity": lambda images, lights, mask: photometric_stereo(images, lights, mask, model="vcavity"),
+    "network": lambda images, lights, mask: photometric_stereo(images, lights, mask, model="network"),
     "auto": lambda images, lights, mask: photometric_stereo(images, lights, mask),
 }
 QUOTED = {
@@ -164,6 +172,18 @@ def wrong_calibration(case: Photographs) -> dict[str, dict[float, float]]:
     return curves
 
 
+def wrong_distance() -> dict[float, float]:
+    """Mean error of near-light stereo with the object's distance off by so many percent."""
+    case, curve = rendered.near_capture(rendered.objects()["bumps"]), {}
+    for off in (0.0, 1.0, 2.0, 5.0, 10.0, 20.0):
+        found = near_light_stereo(
+            case.images, case.positions, case.mask, camera=case.camera, distance=case.distance * (1 + off / 100),
+            model="vcavity",
+        )  # fmt: skip
+        curve[off] = angular_error(found.normal, case.normal, case.mask).summary()["mean"]
+    return curve
+
+
 def calibration(cases: list[Photographs]) -> dict[str, dict[float, float]]:
     """RMS error in eight groups of pixels by the error that `auto`'s confidence predicts, degrees."""
     curves = {}
@@ -245,6 +265,7 @@ def main() -> None:
     first = real[1] if len(real) > 1 else (real or made)[0]
     document["few lights"] = few_lights(first, 1 if options.quick else 3)
     document["wrong calibration"] = wrong_calibration(first)
+    document["wrong calibration"]["distance of near lights, percent"] = wrong_distance()
     document["confidence"] = calibration(real or made[:3])
     if options.folders:
         document["peak MB"] = {Path(f).name: alone(peak, f) for f in options.folders}
@@ -252,7 +273,7 @@ def main() -> None:
     for name in ("few lights", "wrong calibration", "confidence"):
         print(f"{name} ({first.name})" if name != "confidence" else "RMS error by predicted error, degrees")
         for line, curve in document[name].items():
-            print(f"  {line:24}" + "  ".join(f"{x:.3g}: {y:.2f}" for x, y in curve.items()))
+            print(f"  {line:36}" + "  ".join(f"{x:.3g}: {y:.2f}" for x, y in curve.items()))
     (options.output / "stereo.json").write_text(json.dumps(document, indent=2) + "\n")
     for title, cases in (("photographs", real), ("rendered", made)):
         if cases:

@@ -18,7 +18,16 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torch_orennayar import MODELS, Camera, cast_shadows, load_mesh, microfacet, render_normals
+from torch_orennayar import (
+    MODELS,
+    Camera,
+    OrenNayar,
+    cast_shadows,
+    load_mesh,
+    microfacet,
+    point_light,
+    render_normals,
+)  # fmt: skip
 from torch_orennayar.demo import make_object, spiral_lights
 from torch_orennayar.mesh import normalise_mesh
 
@@ -143,6 +152,35 @@ def capture(
     bright = images[:, :, mask[0]].quantile(0.95) if mask.sum() * lights < 1_000_000 else images.max()
     images = images + NOISE * noise * bright
     return Rendered(images.clamp_min(0) * mask, directions, mask & (normal[2:] > 0.05), normal)
+
+
+@dataclass(frozen=True)
+class NearLit:
+    """Images (K, 1, H, W) under near lights at (K, 3), the object's mean distance, camera, mask and true normals."""
+
+    images: Tensor
+    positions: Tensor
+    distance: float
+    camera: Camera
+    mask: Tensor
+    normal: Tensor
+
+
+def near_capture(mesh: tuple[Tensor, Tensor], *, lights: int = 24, size: int = 96) -> NearLit:
+    """Photographs of ``mesh`` in perspective, rough, under point lights one and a half diameters away, with noise."""
+    vertices, faces = mesh
+    camera = Camera.perspective(math.radians(35), eye=(0.0, 0.0, 4.0))
+    seen = render_normals(vertices, faces, camera, (size, size))
+    positions = 3.0 * spiral_lights(lights, math.radians(50)) - torch.tensor([0.0, 0.0, 4.0])
+    depth = torch.where(seen.mask, seen.depth, 4.0)
+    light, irradiance = point_light(camera.points(depth), positions[:, :, None, None], 1.0)
+    view = camera.view_directions((size, size))
+    normal = seen.normal.expand(lights, -1, -1, -1)
+    images = OrenNayar("vcavity")(normal, light, view, albedo=0.6, roughness=0.5, irradiance=irradiance)
+    noise = torch.randn(images.shape, generator=torch.Generator().manual_seed(0))
+    images = (images + NOISE * noise * images.amax()).clamp_min(0) * seen.mask
+    distance = seen.depth[seen.mask].log().mean().exp().item()
+    return NearLit(images, positions, distance, camera, seen.mask[0], seen.normal[0])
 
 
 def fit_surfaces(file: Path) -> dict[str, Surface]:

@@ -168,7 +168,8 @@ class SyntheticCaptures(IterableDataset[dict[str, Tensor]]):
             vertices, faces = _made_mesh(draw)
         turn = torch.linalg.qr(draw.normal(3, 3).cpu())[0].to(vertices)
         turn = turn * torch.linalg.det(turn.cpu()).sign().to(turn)
-        return normalise_mesh(vertices @ turn), faces
+        vertices = normalise_mesh(vertices @ turn)
+        return vertices / vertices.norm(dim=1).amax().clamp_min(1e-9), faces
 
 
 def _camera(draw: Draw) -> Camera:
