@@ -2,11 +2,12 @@
 
     python scripts/evaluate_shape_from_shading.py [--data FOLDER] [--output out/shape] [--quick]
 
-Made pictures: five surfaces (`height_fields.py`), shaded by the theory, not by the models that are fitted, with 1 %
-noise. Real ones, where FOLDER (default: $TORCH_ORENNAYAR_DATA) holds them: single pictures of DiLiGenT's objects, UW's
-grey ball, MIT-Berkeley objects, each under lights that are known or, for MIT-Berkeley, estimated from the truth.
-Beside every result stand a plane, the inflated silhouette, Lambert's and the classic form by the same solver. Prints
-tables, writes shape.json, a speed-accuracy chart and a map of failures (light x roughness).
+Made pictures: five surfaces and the meshes of FOLDER/meshes (`height_fields.py`), shaded by the theory, not by the
+models that are fitted, with 1 % noise. Real ones, where FOLDER (default: $TORCH_ORENNAYAR_DATA) holds them: single
+pictures of DiLiGenT's objects, UW's grey ball, MIT-Berkeley objects, each under lights that are known or, for
+MIT-Berkeley, estimated from the truth. Beside every result stand a plane, the inflated silhouette, Lambert's and the
+classic form by the same solver. Prints tables, writes shape.json, a speed-accuracy chart and a map of failures (light x
+roughness).
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import json
 import math
 import os
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -79,22 +80,23 @@ def measure(case: Case) -> dict[str, dict[str, float]]:
     return rows
 
 
-def made(size: int, quick: bool) -> list[Case]:
-    """Every surface at several roughnesses; light 30 degrees off."""
+def made(size: int, quick: bool, meshes: Path) -> list[Case]:
+    """Every surface, and every mesh in a folder, at several roughnesses; light 30 degrees off."""
     light = light_at(30)
     cases = []
-    for name in height_fields.SURFACES:
-        field = height_fields.make(name, size)
+    fields = [height_fields.make(name, size) for name in height_fields.SURFACES]
+    fields += [height_fields.from_mesh(file, size) for file in sorted(meshes.glob("*.obj"))]
+    for field in fields:
         for degrees in (30,) if quick else (0, 15, 30, 45):
             sigma = math.radians(degrees)
             image = photograph(field, light, sigma, albedo=ALBEDO)
-            title = f"{name}, {degrees} degrees"
+            title = f"{field.name}, {degrees} degrees"
             cases.append(Case(title, image, light, field.mask, field.normal, sigma, ALBEDO, field.contour))
     return cases
 
 
-def real(data: Path) -> list[Case]:
-    """Single photographs; albedo is estimated, roughness 0 except for the grey ball, whose paint is taken as 20."""
+def real(data: Path, step: int) -> list[Case]:
+    """Single photographs, of every so many pixels; albedo is estimated, roughness 0 except for the grey ball, whose paint is taken as 20."""
     cases = []
     for name in ("ball", "cat", "reading"):
         capture = load_capture(data / "diligent" / f"{name}PNG")
@@ -113,7 +115,9 @@ def real(data: Path) -> list[Case]:
     image = capture.images[index].mean(0, keepdim=True)
     cases.append(Case("UW grey ball", image, capture.lights[index], inside, normal, math.radians(20), None))
     folders = [folder for folder in sorted((data / "sfs_mit_berkeley").iterdir()) if folder.is_dir()]
-    return cases + [mit(folder) for folder in folders]
+    cases += [mit(folder) for folder in folders]
+    maps = ("image", "mask", "normal")
+    return [replace(c, **{name: getattr(c, name)[:, ::step, ::step] for name in maps}) for c in cases]
 
 
 def mit(folder: Path) -> Case:
@@ -212,8 +216,8 @@ def main() -> None:
     size = 128 if options.quick else 256
     document: dict[str, Any] = {}
     for title, cases in (
-        ("made", made(size, options.quick)),
-        ("real", real(options.data) if (options.data / "diligent").is_dir() else []),
+        ("made", made(size, options.quick, options.data / "meshes")),
+        ("real", real(options.data, 2 if options.quick else 1) if (options.data / "diligent").is_dir() else []),
     ):
         if cases:
             print(title)

@@ -6,6 +6,7 @@ import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -13,7 +14,8 @@ import torch.nn.functional as F
 from scipy.interpolate import RectBivariateSpline
 from torch import Tensor
 
-from torch_orennayar import MODELS
+from torch_orennayar import MODELS, Camera, load_mesh, render_normals
+from torch_orennayar.mesh import normalise_mesh
 
 Height = Callable[[Tensor, Tensor], Tensor]
 
@@ -84,6 +86,23 @@ def make(name: str, size: int) -> Field:
     mask = (z > 0).detach()[None]
     normal = F.normalize(torch.stack((-slopes[0], -slopes[1], torch.ones_like(z))), dim=0)
     return Field(name, torch.where(mask, z.detach()[None] * size / 2.2, 0), normal.detach() * mask, mask, contour)
+
+
+LYING = ("nefertiti",)
+"""Meshes whose z points up."""
+
+
+def from_mesh(file: Path, size: int) -> Field:
+    """What a mesh shows from the front; its height field is not smooth where one part hides another."""
+    vertices, faces = load_mesh(file)
+    if file.stem in LYING:
+        x, y, z = vertices.unbind(1)
+        vertices = torch.stack((x, z, -y), 1)
+    seen = render_normals(normalise_mesh(vertices), faces, Camera.orthographic(0.8), (size, size))
+    mask, normal = seen.mask[0], F.normalize(seen.normal[0].double(), dim=0)
+    mask = mask & (normal[2:] > 0.02)
+    height = torch.where(mask, (2 - seen.depth[0].double()) * size / 1.6, 0)
+    return Field(file.stem, height, normal * mask, mask, True)
 
 
 def light_at(degrees: float, azimuth: float = 40.0) -> Tensor:

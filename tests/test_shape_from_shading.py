@@ -71,6 +71,17 @@ def test_rough_surfaces_need_a_rough_model(bumpy: Field, degrees: int) -> None:
     assert classic["median"] > lambert["median"]
 
 
+def test_the_simplest_sufficient_model_is_taken(bumpy: Field) -> None:
+    image = photograph(bumpy, LIGHT, 0.0)[:, ::4, ::4]
+    mask = bumpy.mask[:, ::4, ::4]
+    for roughness, model in ((0.0, "lambert"), (0.5, "vcavity"), (None, "vcavity")):
+        found = shape_from_shading(image, LIGHT, mask, albedo=0.8, roughness=roughness)
+        assert found.model == model
+        assert f"{model} errs by" in found.report[0]
+    maps = torch.full_like(image, 0.8), torch.zeros_like(image)
+    assert shape_from_shading(image, LIGHT, mask, albedo=maps[0], roughness=maps[1]).model == "lambert"
+
+
 def test_smooth_surfaces_are_no_worse_than_by_lambert(bumpy: Field) -> None:
     image = photograph(bumpy, LIGHT, 0.0)
     found = errors(shape_from_shading(image, LIGHT, bumpy.mask, albedo=0.8, roughness=0.0), bumpy)

@@ -222,7 +222,7 @@ def shape(
     ] = None,
     albedo: Annotated[float | None, typer.Option(help="Albedo; default: estimated.", min=0)] = None,
     mask: MaskFile = None,
-    model: ModelName = "vcavity",
+    model: Annotated[str, typer.Option(help="auto, or a model that `orennayar info` lists.")] = "auto",
     contour: Annotated[
         bool, typer.Option(help="Whether the mask's edge is where the surface turns away from the viewer.")
     ] = True,

@@ -14,6 +14,7 @@ from torch import Tensor
 from . import surface_fit
 from ._checks import check_floating, check_mask, check_range, check_unit
 from .camera import Camera
+from .choice import ModelChoice, simplest_model
 from .errors import CaptureError, RangeError, ShapeError
 from .reconstruction import Reconstruction, stack
 from .reflectance import get_model
@@ -27,6 +28,8 @@ START_ROUGHNESS = math.radians(25)
 """Where the search for an unknown roughness begins."""
 DARK = 0.05
 """Share of the picture's bright end below which a pixel counts as shadow."""
+NEAR_ENOUGH = 0.01
+"""Error of shading that the simplest sufficient model may have: about the noise of a picture."""
 NOISE = 0.01
 """Least error of brightness that the confidence reckons with, share of the picture's bright end."""
 
@@ -39,7 +42,7 @@ def shape_from_shading(
     *,
     albedo: float | Tensor | None = 1.0,
     roughness: float | Tensor | None = 0.0,
-    model: str = "vcavity",
+    model: str = "auto",
     contour: bool = True,
     camera: Camera | None = None,
     depth: Tensor | None = None,
@@ -67,7 +70,8 @@ def shape_from_shading(
         mask: (1, H, W) or (B, 1, H, W) bool; default all pixels.
         albedo: number or map (1 or C, H, W), with B in front for batches; None to estimate one number.
         roughness: radians, number or map (1, H, W), with B in front for batches; None to estimate one number.
-        model: a name in ``MODELS``.
+        model: a name in ``MODELS``, or ``"auto"``: the simplest that is near enough to the theory for this albedo and
+            roughness (`simplest_model`); the report says why.
         contour: whether the mask's edge is an occluding contour.
         camera: None for orthographic views in pixels, or a `Camera`.
         depth: (1, H, W) or (B, 1, H, W) where to start, finite inside the mask, in the unit of the result.
@@ -106,7 +110,8 @@ def shape_from_shading(
         True
     """
     check_floating(image=image, light=light)
-    get_model(model)
+    if model != "auto":
+        get_model(model)
     if image.ndim == 4:
         return _solve_batch(
             image,
@@ -120,8 +125,12 @@ def shape_from_shading(
             },
         )
     inside = _check(image, light, mask, {"depth": depth, "known": known})
-    wish = Wish(model, contour, smoothness, silhouette, albedo is None, roughness is None)
     scene = _scene(image, light, inside, albedo, roughness, known, camera)
+    reasons = []
+    if model == "auto":
+        model = _simplest(scene, albedo is None, roughness is None)
+        reasons.append(model.reason)
+    wish = Wish(str(model), contour, smoothness, silhouette, albedo is None, roughness is None)
     height = _start(scene, depth, camera, contour)
     if contour and depth is None:
         scene = replace(scene, likely=surface_fit.normals(height, None, 1.0))
@@ -131,7 +140,7 @@ def shape_from_shading(
         _logit(scene.roughness.mean() / surface_fit.ROUGHEST),
     )
     start, report = _choose_side(scene, start, wish, sure=depth is not None or not contour)
-    report = [*_say_light(scene), *report]
+    report = [*reasons, *_say_light(scene), *report]
     found, _ = surface_fit.fit(scene, start, wish, coarse=depth is None, show="shape from shading")
     return _result(scene, found, wish, inside, camera, report)
 
@@ -180,6 +189,18 @@ def _scene(
         pixel=pixel,
         likely=None,
         noise=_noise(values / unit, inside),
+    )
+
+
+def _simplest(scene: Scene, any_albedo: bool, any_roughness: bool) -> ModelChoice:
+    """The simplest model near enough to the theory for what the scene holds."""
+    rho, sigma = (
+        t[(scene.mask > 0).expand_as(t)] if t.shape[1:] != (1, 1) else t for t in (scene.albedo, scene.roughness)
+    )
+    return simplest_model(
+        albedo=(0.0, 1.0) if any_albedo else rho.clamp_max(1.0),
+        roughness=(0.0, surface_fit.ROUGHEST) if any_roughness else sigma,
+        tolerance=NEAR_ENOUGH,
     )
 
 
