@@ -96,7 +96,7 @@ def made(size: int, quick: bool, meshes: Path) -> list[Case]:
 
 
 def real(data: Path, step: int) -> list[Case]:
-    """Single photographs, of every so many pixels; albedo is estimated, roughness 0 except for the grey ball, whose paint is taken as 20."""
+    """Single photographs, every ``step``-th pixel; albedo is estimated, roughness 0, the grey ball's paint 20."""
     cases = []
     for name in ("ball", "cat", "reading"):
         capture = load_capture(data / "diligent" / f"{name}PNG")

@@ -22,6 +22,7 @@ import torch_orennayar as ton
 from torch_orennayar.capture import save_capture
 from torch_orennayar.images import read_image, write_image
 from torch_orennayar.mesh import normalise_mesh
+from torch_orennayar.network_stereo import solve_network
 from torch_orennayar.stereo_graph import solve_closed_form
 
 if TYPE_CHECKING:
@@ -158,6 +159,9 @@ def test_photographs_become_normals(page: Page, tmp_path: Path, rough: Scene) ->
     assert float(found.split("roughness ")[1].split("°")[0]) == pytest.approx(30, abs=3)
     settle(page)
     assert seen(page, "left").max() > 50
+    page.select_option("#solver", "stereo_network")
+    page.set_input_files("#files", [f for f in (tmp_path / "capture").iterdir() if f.is_file()])
+    status(page, "the network tells no roughness")
 
 
 def run_in_page(page: Page, name: str, feeds: dict[str, npt.NDArray[Any]]) -> dict[str, npt.NDArray[np.float32]]:
@@ -189,7 +193,7 @@ def run_in_page(page: Page, name: str, feeds: dict[str, npt.NDArray[Any]]) -> di
     return {k: np.array(v["values"], dtype=np.float32).reshape(v["dims"]) for k, v in answers.items()}
 
 
-def test_all_three_graphs_give_torchs_answer(page: Page, rough: Scene) -> None:
+def test_all_graphs_give_torchs_answer(page: Page, rough: Scene) -> None:
     generator = torch.Generator().manual_seed(0)
     scene = {
         "normal": torch.nn.functional.normalize(torch.randn(2, 3, 30, 20, generator=generator), dim=1),
@@ -208,6 +212,11 @@ def test_all_three_graphs_give_torchs_answer(page: Page, rough: Scene) -> None:
         ("normal", "albedo", "roughness"), solve_closed_form(*feeds.values(), "vcavity"), strict=True
     ):
         assert np.abs(answers[name] - value.numpy()).max() <= 1e-5
+
+    answers = run_in_page(page, "stereo_network", {k: v.numpy() for k, v in feeds.items()})
+    wanted = solve_network(rough.images, rough.lights, rough.mask[0])
+    for name in ("normal", "albedo", "roughness", "error"):
+        assert np.abs(answers[name] - wanted[name].numpy()).max() <= 1e-5
 
     ball = trimesh.creation.icosphere(2)
     vertices, faces = torch.tensor(ball.vertices).float(), torch.tensor(ball.faces)
@@ -236,6 +245,27 @@ def test_mistakes_are_told(page: Page, tmp_path: Path, rough: Scene) -> None:
         page.set_input_files("#files", files)
         status(page, message)
         assert "wrong" in str(page.get_attribute("#status", "class"))
+
+
+def test_webgpu_shows_the_same(address: str) -> None:
+    """Where the browser has it, if only in software."""
+    from playwright.sync_api import sync_playwright
+
+    flags = ("--no-sandbox", "--enable-unsafe-webgpu", "--use-webgpu-adapter=swiftshader", "--ignore-gpu-blocklist")
+    with sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=CHROMIUM, args=list(flags))
+        page = browser.new_page()
+        page.goto(address)
+        page.wait_for_function("document.getElementById('left-time').textContent !== ''")
+        if not page.evaluate("async () => Boolean(await navigator.gpu?.requestAdapter())"):
+            pytest.skip("no WebGPU here")
+        page.select_option("#device", "webgpu")
+        page.evaluate("document.getElementById('left-time').textContent = ''")
+        page.wait_for_function("document.getElementById('left-time').textContent !== ''", timeout=120_000)
+        settle(page)
+        normal = stored_normals(WEB / "graphs" / "normal.png")
+        assert np.abs(seen(page, "left") - shown(normal, "vcavity")).max() <= 1
+        browser.close()
 
 
 def test_a_broken_graph_is_told(browser: Browser, address: str) -> None:

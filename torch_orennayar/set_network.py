@@ -142,9 +142,10 @@ def _ranks(observed: Tensor) -> Tensor:
 def _robust(ratio: Tensor, lights: Tensor, weight: Tensor) -> Tensor:
     """Albedo times normal, (P, 3): least squares, then some rounds in which what fits badly counts less."""
     vector = _least_squares(ratio, lights, weight)
+    half = (torch.ones_like(ratio).sum(1, keepdim=True) / 2).long()  # a size is not to be asked for in a graph
     for _ in range(ROUNDS):
         missed = (ratio - (lights * vector[:, None]).sum(2).clamp_min(0)).abs()
-        middle = missed.sort(1)[0][:, missed.shape[1] // 2 :][:, :1]
+        middle = missed.sort(1)[0].gather(1, half)
         share = missed / (2 * (1.4826 * middle).clamp_min(0.02))
         vector = _least_squares(ratio, lights, weight / (1 + share * share) ** 2)
     return vector

@@ -136,17 +136,19 @@ async function openCapture(files) {
   const capture = await readCapture(files, at("encoding").value, say);
   say(`Solving ${capture.count} photographs of ${capture.width} × ${capture.height}…`);
   const begun = performance.now();
-  const { normal, albedo, roughness } = await runInWorker("stereo", capture.feeds);
+  const { normal, albedo, roughness } = await runInWorker(at("solver").value, capture.feeds);
   const seconds = ((performance.now() - begun) / 1000).toFixed(1);
   const brightest = albedo.data.reduce((a, b) => Math.max(a, b), 1e-9);
   const shown = brightest > 1 ? albedo.data.map((value) => value / brightest) : albedo.data;
   const degrees = (roughness.data.reduce((a, b) => Math.max(a, b), 0) * 180) / Math.PI;
-  at("roughness").value = Math.round(degrees);
+  const told = at("solver").value === "stereo";
+  if (told) at("roughness").value = Math.round(degrees);
   Object.assign(state, { picture: null, mesh: null });
   at("turn").disabled = true;
   label();
   surface(normal.data, capture.width, capture.height, shown);
-  say(`${capture.count} photographs solved in ${seconds} s: roughness ${degrees.toFixed(0)}°. Now relight them.`);
+  const found = told ? `roughness ${degrees.toFixed(0)}°` : "the network tells no roughness";
+  say(`${capture.count} photographs solved in ${seconds} s: ${found}. Now relight them.`);
 }
 
 /** One normal map, one mesh, or a capture. */

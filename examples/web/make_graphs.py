@@ -25,6 +25,7 @@ def main(folder: str) -> None:
         ton.export_onnx("shading", target / f"shading_{model}.onnx", model=model)
     print("exporting photometric stereo", flush=True)
     ton.export_onnx("stereo", target / "stereo.onnx", model="vcavity")
+    ton.export_onnx("stereo", target / "stereo_network.onnx", model="network")
     print("exporting the renderer, about half a minute", flush=True)
     ton.export_onnx("renderer", target / "renderer.onnx", camera=camera, size=SIZE)
     vertices, faces = make_object()

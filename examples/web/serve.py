@@ -48,7 +48,7 @@ def prepare() -> None:
             sys.exit("npm is needed to fetch onnxruntime-web: install Node.js 20 or newer")
         print("fetching onnxruntime-web", flush=True)
         subprocess.run([npm, "ci", "--silent", "--no-audit", "--no-fund", "--ignore-scripts"], cwd=HERE, check=True)
-    sources = [*(ROOT / "torch_orennayar").glob("*.py"), HERE / "make_graphs.py"]
+    sources = [*(ROOT / "torch_orennayar").glob("*.p[ty]"), HERE / "make_graphs.py"]
     done = HERE / "graphs" / "normal.png"  # the last file written
     if not done.exists() or done.stat().st_mtime < max(s.stat().st_mtime for s in sources):
         sys.path.insert(0, str(ROOT / "scripts"))
