@@ -26,7 +26,7 @@ from torch_orennayar.network_stereo import solve_network
 from torch_orennayar.stereo_graph import solve_closed_form
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser, Page
+    from playwright.sync_api import Browser, Page, Playwright
 
 pytestmark = pytest.mark.skipif(not CAN_BROWSE, reason="no Chromium or npm")
 QUIET = (
@@ -42,13 +42,18 @@ def address() -> Iterator[str]:
 
 
 @pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
+def driver() -> Iterator[Playwright]:
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=CHROMIUM, args=list(QUIET))
-        yield browser
-        browser.close()
+        yield driver
+
+
+@pytest.fixture(scope="module")
+def browser(driver: Playwright) -> Iterator[Browser]:
+    browser = driver.chromium.launch(executable_path=CHROMIUM, args=list(QUIET))
+    yield browser
+    browser.close()
 
 
 @pytest.fixture
@@ -160,6 +165,7 @@ def test_photographs_become_normals(page: Page, tmp_path: Path, rough: Scene) ->
     settle(page)
     assert seen(page, "left").max() > 50
     page.select_option("#solver", "stereo_network")
+    page.set_input_files("#files", [])
     page.set_input_files("#files", [f for f in (tmp_path / "capture").iterdir() if f.is_file()])
     status(page, "the network tells no roughness")
 
@@ -247,25 +253,22 @@ def test_mistakes_are_told(page: Page, tmp_path: Path, rough: Scene) -> None:
         assert "wrong" in str(page.get_attribute("#status", "class"))
 
 
-def test_webgpu_shows_the_same(address: str) -> None:
+def test_webgpu_shows_the_same(driver: Playwright, address: str) -> None:
     """Where the browser has it, if only in software."""
-    from playwright.sync_api import sync_playwright
-
     flags = ("--no-sandbox", "--enable-unsafe-webgpu", "--use-webgpu-adapter=swiftshader", "--ignore-gpu-blocklist")
-    with sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=CHROMIUM, args=list(flags))
-        page = browser.new_page()
-        page.goto(address)
-        page.wait_for_function("document.getElementById('left-time').textContent !== ''")
-        if not page.evaluate("async () => Boolean(await navigator.gpu?.requestAdapter())"):
-            pytest.skip("no WebGPU here")
-        page.select_option("#device", "webgpu")
-        page.evaluate("document.getElementById('left-time').textContent = ''")
-        page.wait_for_function("document.getElementById('left-time').textContent !== ''", timeout=120_000)
-        settle(page)
-        normal = stored_normals(WEB / "graphs" / "normal.png")
-        assert np.abs(seen(page, "left") - shown(normal, "vcavity")).max() <= 1
-        browser.close()
+    browser = driver.chromium.launch(executable_path=CHROMIUM, args=list(flags))
+    page = browser.new_page()
+    page.goto(address)
+    page.wait_for_function("document.getElementById('left-time').textContent !== ''")
+    if not page.evaluate("async () => Boolean(await navigator.gpu?.requestAdapter())"):
+        pytest.skip("no WebGPU here")
+    page.evaluate("document.getElementById('left-time').textContent = ''")
+    page.select_option("#device", "webgpu")
+    page.wait_for_function("document.getElementById('left-time').textContent !== ''", timeout=120_000)
+    settle(page)
+    normal = stored_normals(WEB / "graphs" / "normal.png")
+    assert np.abs(seen(page, "left") - shown(normal, "vcavity")).max() <= 1
+    browser.close()
 
 
 def test_a_broken_graph_is_told(browser: Browser, address: str) -> None:
