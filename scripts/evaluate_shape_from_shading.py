@@ -33,7 +33,7 @@ from torch_orennayar import angular_error, depth_to_normals, load_capture, shape
 from torch_orennayar.images import read_image
 from torch_orennayar.progress import track
 
-METHODS = ("plane", "inflated", "lambert alone", "classic alone", "lambert", "classic", "vcavity")
+METHODS = ("plane", "inflated", "lambert alone", "classic alone", "vcavity alone", "lambert", "classic", "vcavity")
 """Solvers called alone believe the picture whatever happens; the others fall back on the silhouette."""
 ALBEDO = 0.8
 
