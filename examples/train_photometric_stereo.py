@@ -216,7 +216,7 @@ def write_curve(file: Path, rows: list[list[str]]) -> None:
 def parse(arguments: list[str] | None = None) -> argparse.Namespace:
     """The command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--steps", type=int, default=6500)
+    parser.add_argument("--steps", type=int, default=5000)
     parser.add_argument("--groups", type=int, default=8, help="samples of a step, shared by all processes")
     parser.add_argument("--observations", type=int, default=1536, help="pixels times lights of a sample")
     parser.add_argument("--seed", type=int, default=0)

@@ -18,7 +18,7 @@ from torch_orennayar import SyntheticCaptures
 from torch_orennayar.figures import save_sheet, show_light, show_normals
 from torch_orennayar.set_network import load_network
 
-OBSERVATIONS, GROUPS, STEPS = 1536, 8, 6500
+OBSERVATIONS, GROUPS, STEPS = 1536, 8, 5000
 """Of the trainer's defaults."""
 LINK = 12.5e9
 """Bytes a second of a link of 100 Gb/s."""
