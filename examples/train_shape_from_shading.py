@@ -1,6 +1,6 @@
 """Teach a small network normals from one picture of a rough surface, without showing it a single normal.
 
-    python examples/train_shape_from_shading.py [-o out/train_shape] [--steps 500] [--size 64]
+    python examples/train_shape_from_shading.py [-o out/train_shape] [--steps 400] [--size 64]
 
 Pictures are rendered from made-up meshes. The network bends the inflated silhouette; the loss is how far the shading of
 its answer, by the layer, is from the picture it saw. Three versions are compared on captures that none has seen:
@@ -158,7 +158,7 @@ def errors(network: Bender, pictures: Pictures) -> tuple[dict[str, float], Tenso
     return ton.angular_error(found, pictures.normal, pictures.mask > 0).summary(), found
 
 
-def main(output: Path, steps: int = 500, size: int = 64, captures: int = 300, seed: int = 0) -> dict[str, float]:
+def main(output: Path, steps: int = 400, size: int = 64, captures: int = 150, seed: int = 0) -> dict[str, float]:
     """Median errors by version."""
     begun = time.perf_counter()
     seen, unseen = draw(captures, 0, size), draw(max(captures // 8, 4), 10**6, size)
@@ -186,9 +186,9 @@ def main(output: Path, steps: int = 500, size: int = 64, captures: int = 300, se
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("-o", "--output", type=Path, default=Path("out/train_shape"))
-    parser.add_argument("--steps", type=int, default=500)
+    parser.add_argument("--steps", type=int, default=400)
     parser.add_argument("--size", type=int, default=64)
-    parser.add_argument("--captures", type=int, default=300)
+    parser.add_argument("--captures", type=int, default=150)
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     main(options.output, options.steps, options.size, options.captures, options.seed)

@@ -7,7 +7,7 @@ import torch
 from conftest import Scene
 from example_code import load
 
-from torch_orennayar import save_mesh
+from torch_orennayar import OrenNayar, save_mesh
 from torch_orennayar.capture import save_capture
 from torch_orennayar.demo import make_object
 from torch_orennayar.images import read_image
@@ -69,3 +69,21 @@ def test_inverse_rendering_mends_the_lights(tmp_path: Path, rough: Scene) -> Non
     assert found["last loss"] < found["first loss"]
     assert read_image(tmp_path / "out" / "relit.png").ndim == 3
     assert (tmp_path / "out" / "loss.png").is_file()
+
+
+def test_shape_from_one_picture_is_learned_through_the_layer(tmp_path: Path) -> None:
+    """A minute of what takes longer: the re-rendered picture comes nearer, more so with the rough model in the loss."""
+    example = load("train_shape_from_shading")
+    pictures = example.draw(8, 0, 32)
+    before = example.misfit(OrenNayar("vcavity"), example.Bender()(pictures), pictures, True).item()
+    after = {}
+    for model in ("lambert", "vcavity"):
+        network, losses = example.train(pictures, 60, model, 0)
+        assert sum(losses[-10:]) < sum(losses[:10])
+        with torch.no_grad():
+            after[model] = example.misfit(OrenNayar("vcavity"), network(pictures), pictures, True).item()
+    assert after["vcavity"] < 0.8 * before
+    assert after["vcavity"] < after["lambert"]
+    normal = network(pictures)
+    inside = pictures.mask.expand_as(normal) > 0
+    assert torch.allclose(normal.norm(dim=1)[inside[:, 0]], torch.ones(()), atol=1e-5)
