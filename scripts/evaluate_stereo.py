@@ -184,6 +184,19 @@ def wrong_distance() -> dict[float, float]:
     return curve
 
 
+def two_roughnesses() -> dict[str, dict[str, float]]:
+    """Mean error of objects of two roughnesses, solved with one and by `auto`."""
+    rows = {}
+    for left, right in ((10, 45), (20, 35), (0, 50), (30, 30)):
+        case, _ = rendered.patched_capture(left, right)
+        rows[f"{left} and {right} degrees"] = {
+            name: angular_error(METHODS[name](case.images, case.lights, case.mask).normal, case.normal, case.mask)
+            .summary()["mean"]
+            for name in ("vcavity", "auto")
+        }  # fmt: skip
+    return rows
+
+
 def calibration(cases: list[Photographs]) -> dict[str, dict[float, float]]:
     """RMS error in eight groups of pixels by the error that `auto`'s confidence predicts, degrees."""
     curves = {}
@@ -266,6 +279,7 @@ def main() -> None:
     document["few lights"] = few_lights(first, 1 if options.quick else 3)
     document["wrong calibration"] = wrong_calibration(first)
     document["wrong calibration"]["distance of near lights, percent"] = wrong_distance()
+    document["two roughnesses"] = two_roughnesses()
     document["confidence"] = calibration(real or made[:3])
     if options.folders:
         document["peak MB"] = {Path(f).name: alone(peak, f) for f in options.folders}
@@ -274,6 +288,9 @@ def main() -> None:
         print(f"{name} ({first.name})" if name != "confidence" else "RMS error by predicted error, degrees")
         for line, curve in document[name].items():
             print(f"  {line:36}" + "  ".join(f"{x:.3g}: {y:.2f}" for x, y in curve.items()))
+    print("mean error of objects of two roughnesses, degrees")
+    for line, row in document["two roughnesses"].items():
+        print(f"  {line:36}" + "  ".join(f"{name}: {value:.2f}" for name, value in row.items()))
     (options.output / "stereo.json").write_text(json.dumps(document, indent=2) + "\n")
     for title, cases in (("photographs", real), ("rendered", made)):
         if cases:

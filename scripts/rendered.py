@@ -154,6 +154,18 @@ def capture(
     return Rendered(images.clamp_min(0) * mask, directions, mask & (normal[2:] > 0.05), normal)
 
 
+def patched_capture(left: float, right: float, *, lights: int = 36, size: int = 72) -> tuple[Rendered, Tensor]:
+    """The bumpy object, its left half of one roughness in degrees and its right half of another; and their map."""
+    vertices, faces = objects()["bumps"]
+    seen = render_normals(vertices, faces, Camera.orthographic(1.02), (size, size))
+    directions, normal, mask = spiral_lights(lights, math.radians(50)), seen.normal[0], seen.mask[0]
+    here = (torch.arange(size) < size // 2).expand(1, size, size)
+    roughness = torch.where(here, math.radians(left), math.radians(right))
+    images = OrenNayar("vcavity")(seen.normal, directions[None], albedo=0.7, roughness=roughness[None])[0]
+    images = images + NOISE * torch.randn(images.shape, generator=torch.Generator().manual_seed(0))
+    return Rendered(images.clamp_min(0) * mask, directions, mask & (normal[2:] > 0.05), normal), roughness
+
+
 @dataclass(frozen=True)
 class NearLit:
     """Images (K, 1, H, W) under near lights at (K, 3), the object's mean distance, camera, mask and true normals."""
