@@ -23,7 +23,7 @@ def test_python_blocks_run_in_order(
     names: dict[str, object] = {}
     for block in blocks:
         exec(block, names)
-    assert len(blocks) == 5
+    assert len(blocks) == 6
     assert names["choice"] == "fujii"
     assert tuple(names["images"].shape) == (2, 7, 1, 64, 64)  # type: ignore[attr-defined]
     assert tuple(names["pictures"].shape) == (1, 12, 1, 512, 512)  # type: ignore[attr-defined]

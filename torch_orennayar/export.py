@@ -17,7 +17,7 @@ from .camera import Camera
 from .errors import ExportError
 from .files import atomic_path
 from .module_graph import hold, module_graph, other_sizes, to_half
-from .network_stereo import NETWORK, network_graph, solve_network
+from .network_stereo import NETWORK, TRAINED_LIGHTS, network_graph, solve_network
 from .pixel_graph import STEREO_INPUTS
 from .reflectance import get_model
 from .render import check_size
@@ -195,7 +195,7 @@ def _network_task() -> _Task:
         found = solve_network(images, lights, mask[0], network)
         return found["normal"], found["albedo"], torch.zeros_like(found["error"]), found["error"]
 
-    return _Task(network_graph(), meaning, STEREO_INPUTS, stereo_trials(), solve)
+    return _Task(network_graph(), meaning, STEREO_INPUTS, stereo_trials(TRAINED_LIGHTS), solve)
 
 
 def _stereo_task(name: str) -> _Task:

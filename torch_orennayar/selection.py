@@ -23,6 +23,8 @@ TOLERANCE = 0.02
 """The simplest material within this share of the best held-out score is chosen."""
 ERROR_CAP = 0.15
 """Scores cut absolute errors at this share of a pixel's mean, so that shadows and highlights weigh little."""
+MAP_GAIN = 0.1
+"""A map of roughness must beat what has none by this share: a few per cent it gains on glaze, which it mimics."""
 DISAGREEMENT = 0.1
 """What a radian between the normals of two fits adds to a score: images do not show a misfit that went there."""
 IDENTIFIABLE = math.radians(5)
@@ -153,8 +155,9 @@ def _kinds(score: Callable[[Material], float], *, lobes: bool) -> Iterator[Seque
         yield from alike
         if varied:  # with highlights only where it was worth a trial without
             last = replace(base, model=AUTO_MODEL, varied=True)
+            varied = score(last) < (1 - MAP_GAIN) * min(score(m) for kind in alike for m in kind)
+        if varied:
             yield [last]
-            varied = score(last) < (1 - TOLERANCE) * min(score(m) for kind in alike for m in kind)
 
 
 def _first_sufficient(materials: Sequence[Material], score: Callable[[Material], float]) -> Material:

@@ -199,8 +199,8 @@ def _loop(graph: PixelGraph, turn: onnx.ModelProto, prefix: str, given: Sequence
     return graph.add.many("Loop", ("turns", "", vector, middle), 2, body=body)
 
 
-def stereo_trials() -> list[tuple[Tensor, ...]]:
-    """Rough and smooth balls under few and many lights, with noise, to try a graph on."""
+def stereo_trials(fewest: int = 3) -> list[tuple[Tensor, ...]]:
+    """Rough and smooth balls under few (from ``fewest`` on) and many lights, with noise, to try a graph on."""
     from .calibrate import Ball
     from .demo import spiral_lights
     from .shading import oren_nayar
@@ -209,7 +209,7 @@ def stereo_trials() -> list[tuple[Tensor, ...]]:
     generator = torch.Generator().manual_seed(0)
     for count, channels, size, roughness in ((3, 1, 24, 0.0), (5, 2, 20, 0.0), (24, 3, 40, 0.5), (13, 1, 33, 0.9)):
         normal, mask = Ball(size / 2, size / 2, 0.45 * size).normals((size, size + 5))
-        lights = spiral_lights(count, math.radians(45))
+        lights = spiral_lights(max(count, fewest), math.radians(45))
         albedo = torch.linspace(0.3, 0.8, channels).reshape(1, -1, 1, 1)
         images = oren_nayar(
             normal[None], lights[:, :, None, None], torch.tensor([0.0, 0, 1]).reshape(1, 3, 1, 1), albedo, roughness
