@@ -11,15 +11,15 @@ from __future__ import annotations
 import argparse
 import time
 from pathlib import Path
+from typing import Any
 
 import torch
+from example_code import load
 
 from torch_orennayar import SyntheticCaptures
 from torch_orennayar.figures import save_sheet, show_light, show_normals
 from torch_orennayar.set_network import load_network
 
-OBSERVATIONS, GROUPS, STEPS = 1536, 8, 5000
-"""Of the trainer's defaults."""
 LINK = 12.5e9
 """Bytes a second of a link of 100 Gb/s."""
 
@@ -49,23 +49,26 @@ def contact_sheet(path: Path) -> None:
         mask = sample["mask"]
         top = sample["images"].flatten().quantile(0.995).clamp_min(1e-3)
         row = {f"light {k}": show_light(image / top, mask) for k, image in enumerate(sample["images"])}
-        rough = (sample["roughness"] / 1.0).expand(3, -1, -1)
+        rough = sample["roughness"].expand(3, -1, -1)
         rows.append(row | {"normal": show_normals(sample["normal"], mask), "albedo": show_light(sample["albedo"], mask),
                            "roughness, white is 57 degrees": torch.where(mask, rough, 1.0)})  # fmt: skip
     save_sheet(path, rows)
 
 
-def scaling(step_seconds: float) -> None:
-    """Print what every process does and sends in a step, as ring all-reduce does it."""
+def scaling() -> None:
+    """Print what every process of the trainer does and sends in a step, as ring all-reduce does it."""
+    trainer = load("train_photometric_stereo")
+    options = trainer.parse(["--device", "cpu"])
+    step_seconds = training_step(trainer.Training(options))
     size = 4 * sum(p.numel() for p in load_network().parameters())
-    print(f"gradient {size / 1e3:.0f} kB; one step of {GROUPS} groups of {OBSERVATIONS} took {step_seconds:.2f} s here")
+    print(f"gradient {size / 1e3:.0f} kB; {step_seconds:.2f} s a step of {options.groups} x {options.observations}")
     print(f"{'processes':>10}{'groups each':>13}{'observations a step':>21}{'sent by each, MB a step':>25}"
           f"{'ms at 100 Gb/s':>16}{'sent in all, GB':>17}")  # fmt: skip
     for processes in (1, 2, 8, 64):
-        groups = max(GROUPS, processes)
+        groups = max(options.groups, processes)
         sent = 2 * (processes - 1) / processes * size
-        print(f"{processes:10}{groups // processes:13}{groups * OBSERVATIONS:21,}{sent / 1e6:25.2f}"
-              f"{1e3 * sent / LINK:16.2f}{sent * processes * STEPS / 1e9:17.1f}")  # fmt: skip
+        print(f"{processes:10}{groups // processes:13}{groups * options.observations:21,}{sent / 1e6:25.2f}"
+              f"{1e3 * sent / LINK:16.2f}{sent * processes * options.steps / 1e9:17.1f}")  # fmt: skip
 
 
 def main() -> None:
@@ -87,17 +90,13 @@ def main() -> None:
         samples, seen = speed(captures, options.seconds)
         print(f"{name:30}{samples:10.1f} samples/s{seen / 1e6:10.2f} million observations/s")
     contact_sheet(options.output / "captures.png")
-    scaling(training_step())
+    scaling()
     print(f"look at {options.output / 'captures.png'}")
 
 
-def training_step() -> float:
+def training_step(training: Any) -> float:
     """Seconds of a step of training on this machine."""
-    from example_code import load
-
-    trainer = load("train_photometric_stereo")
-    training = trainer.Training(trainer.parse(["--device", "cpu"]))
-    samples = SyntheticCaptures("pixels", observations=OBSERVATIONS)
+    samples = SyntheticCaptures("pixels", observations=training.options.observations)
     training.run_step(samples, 0, 1)
     begun = time.perf_counter()
     for _ in range(5):

@@ -4,6 +4,8 @@ import math
 import os
 from pathlib import Path
 
+import numpy as np
+import onnxruntime
 import pytest
 import torch
 from hypothesis import settings
@@ -41,6 +43,15 @@ class Scene:
         generator = torch.Generator().manual_seed(1)
         images = images + noise * torch.randn(images.shape, generator=generator)
         self.images: Tensor = images.clamp_min(0) * self.mask
+
+
+def run_graph(path: Path, threads: int = 0, **feeds: Tensor) -> dict[str, Tensor]:
+    """What ONNX Runtime computes, by name; as many threads as it likes where none are named."""
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = threads
+    session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+    answers = session.run(None, {name: value.numpy() for name, value in feeds.items()})
+    return {o.name: torch.from_numpy(np.asarray(a)) for o, a in zip(session.get_outputs(), answers, strict=True)}
 
 
 @pytest.fixture(scope="session")

@@ -2,12 +2,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 import onnxruntime
 import pytest
 import torch
 import torch.nn.functional as F
 import trimesh
+from conftest import run_graph
 
 from torch_orennayar import (
     MODELS,
@@ -30,9 +30,9 @@ from torch_orennayar.reflectance import ModelFunction, _models
 
 
 def run(path: Path, **feeds: torch.Tensor) -> torch.Tensor:
-    session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
-    (answer,) = session.run(None, {name: value.numpy() for name, value in feeds.items()})
-    return torch.from_numpy(np.asarray(answer))
+    """The only answer of a graph."""
+    (answer,) = run_graph(path, **feeds).values()
+    return answer
 
 
 @pytest.mark.parametrize("rows_a_band", [1, 7, 1000])

@@ -3,12 +3,10 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-import numpy as np
-import onnxruntime
 import pytest
 import torch
 import torch.nn.functional as F
-from conftest import Scene
+from conftest import Scene, run_graph
 from torch import Tensor
 
 import torch_orennayar as ton
@@ -145,21 +143,15 @@ def test_photometric_stereo_by_the_network(rough: Scene) -> None:
     assert "fewer than the 12" in " ".join(few.report)
 
 
-def run(path: Path, threads: int, **feeds: Tensor) -> list[Tensor]:
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = threads
-    session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
-    return [torch.from_numpy(np.asarray(a)) for a in session.run(None, {n: v.numpy() for n, v in feeds.items()})]
-
-
 def test_graph_equals_torch_and_repeats_to_the_bit(graph: Path, rough: Scene) -> None:
     """With as many threads the same bits; another number of threads sums in another order."""
     wanted = solve_network(rough.images, rough.lights, rough.mask[0])
-    answers = [run(graph, n, images=rough.images, lights=rough.lights, mask=rough.mask) for n in (4, 4, 4, 1)]
-    for name, value in zip(("normal", "albedo", "roughness", "error"), answers[0], strict=True):
-        assert (value - wanted.get(name, torch.zeros(()))).abs().max() <= 1e-5
+    answers = [run_graph(graph, n, images=rough.images, lights=rough.lights, mask=rough.mask) for n in (4, 4, 4, 1)]
+    assert list(answers[0]) == ["normal", "albedo", "roughness", "error"]
+    for name, value in answers[0].items():
+        assert (value - wanted[name]).abs().max() <= 1e-5
     for other, atol in zip(answers[1:], (0.0, 0.0, 1e-6), strict=True):
-        assert all(torch.allclose(a, b, rtol=0, atol=atol) for a, b in zip(answers[0], other, strict=True))
+        assert all(torch.allclose(value, other[name], rtol=0, atol=atol) for name, value in answers[0].items())
 
 
 @pytest.mark.parametrize(("name", "bar"), [("ball", 2.7), ("cat", 5.0), ("reading", 13.0)])

@@ -3,10 +3,9 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-import numpy as np
-import onnxruntime
 import pytest
 import torch
+from conftest import run_graph
 
 from torch_orennayar import angular_error, export_onnx, load_capture, oren_nayar
 from torch_orennayar.calibrate import Ball
@@ -33,16 +32,6 @@ def photographs(
     return images + noise * torch.randn(images.shape, generator=generator) * mask, lights, mask, normal
 
 
-def run(path: Path, threads: int = 0, **feeds: torch.Tensor) -> dict[str, torch.Tensor]:
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = threads
-    session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
-    answers = session.run(None, {name: value.numpy() for name, value in feeds.items()})
-    return dict(
-        zip([o.name for o in session.get_outputs()], (torch.from_numpy(np.asarray(a)) for a in answers), strict=True)
-    )
-
-
 @pytest.mark.parametrize("degrees", [0, 20, 40])
 def test_rough_balls_are_recovered(degrees: float) -> None:
     images, lights, mask, normal = photographs(degrees)
@@ -67,7 +56,7 @@ def test_highlights_and_shadows_on_some_images_do_not_bend_lambert() -> None:
 def test_three_lights_are_enough_for_lambert(graph: Path) -> None:
     images, lights, mask, normal = photographs(0, count=3, channels=1, noise=0.0)
     lit = mask & (images > 0.02).all(0)
-    found = run(graph, images=images, lights=lights, mask=mask)
+    found = run_graph(graph, images=images, lights=lights, mask=mask)
     error = angular_error(found["normal"], normal, lit).summary()
     assert error["p90"] < 0.01  # the rest is taken for shadow by one light, and two do not tell a normal
     assert error["mean"] < 2
@@ -77,7 +66,7 @@ def test_three_lights_are_enough_for_lambert(graph: Path) -> None:
 def test_graph_equals_torch_and_repeats_to_the_bit(graph: Path, count: int) -> None:
     images, lights, mask, _ = photographs(30, count)
     wanted = solve_closed_form(images, lights, mask, "vcavity")
-    answers = [run(graph, threads, images=images, lights=lights, mask=mask) for threads in (1, 2, 4, 4, 4)]
+    answers = [run_graph(graph, threads, images=images, lights=lights, mask=mask) for threads in (1, 2, 4, 4, 4)]
     for name, value in zip(("normal", "albedo", "roughness"), wanted, strict=True):
         assert (answers[0][name] - value).abs().max() <= 1e-5
         assert all(torch.equal(a[name], answers[0][name]) for a in answers[1:])

@@ -261,6 +261,7 @@ def test_webgpu_shows_the_same(driver: Playwright, address: str) -> None:
     page.goto(address)
     page.wait_for_function("document.getElementById('left-time').textContent !== ''")
     if not page.evaluate("async () => Boolean(await navigator.gpu?.requestAdapter())"):
+        browser.close()
         pytest.skip("no WebGPU here")
     page.evaluate("document.getElementById('left-time').textContent = ''")
     page.select_option("#device", "webgpu")

@@ -57,21 +57,24 @@ def band_height(count: int, inside: Tensor) -> int:
 
 def _solve(images: Tensor, lights: Tensor, inside: Tensor, material: Material, used: str) -> dict[str, Tensor]:
     """Maps (C, H, W) of one band; ``albedo_grey`` is what the grey observations say."""
-    if not material.varied:
-        return _solve_one(images, lights, inside, material, used)[0]
-    found = [_solve_one(images, lights, inside, level, used) for level in track(at_levels(material), "roughness")]
-    return blend([maps for maps, _ in found], torch.stack([cost for _, cost in found]), Grid(inside))
-
-
-def _solve_one(
-    images: Tensor, lights: Tensor, inside: Tensor, material: Material, used: str
-) -> tuple[dict[str, Tensor], Tensor]:
-    """Maps of one band with one roughness, and how badly it fits each pixel, (P,)."""
     grid = Grid(inside)
     grey = gather(images, inside.flatten())
     rays = Rays.of(gather_directions(lights, inside.flatten()).to(grey))
-    fitted = robust_fit.least_squares(grey, rays) if used == "all" else _fit(grey, rays, material, used, grid)
-    albedo, strengths = _colours(fitted, grey, images, inside, rays, material, used)
+    if not material.varied:
+        return _draw(_fit(grey, rays, material, used, grid), grey, images, rays, material, used, grid)
+    maps, costs = [], []
+    for level in track(at_levels(material), "roughness"):
+        fitted = _fit(grey, rays, level, used, grid)
+        maps.append(_draw(fitted, grey, images, rays, level, used, grid))
+        costs.append(level_cost(fitted, grey, rays, level))
+    return blend(maps, torch.stack(costs), grid)
+
+
+def _draw(
+    fitted: PixelFit, grey: Tensor, images: Tensor, rays: Rays, material: Material, used: str, grid: Grid
+) -> dict[str, Tensor]:
+    """Maps (C, H, W) of a fit."""
+    albedo, strengths = _colours(fitted, grey, images, grid.mask, rays, material, used)
     spread = _spread(fitted, grey, rays, material, used, grid)
 
     maps = {
@@ -79,17 +82,19 @@ def _solve_one(
         "albedo": grid.draw(albedo),
         "albedo_grey": grid.draw(fitted.albedo),
         "residual": grid.draw(fitted.residual),
+        "roughness": grid.draw(torch.full_like(fitted.albedo, material.roughness)),
         "confidence": grid.draw(1 / (1 + (spread / math.radians(2)) ** 2)),
     }
     if material.exponents:
         scale = strengths.new_tensor([8 / (exponent + 8) for exponent in material.exponents])  # blinn_phong's factor
         maps["specular"] = grid.draw((strengths * scale[:, None]).flatten(1))
-    maps["roughness"] = grid.draw(torch.full_like(fitted.albedo, material.roughness))
-    return maps, level_cost(fitted, grey, rays, material)
+    return maps
 
 
 def _fit(grey: Tensor, rays: Rays, material: Material, used: str, grid: Grid) -> PixelFit:
-    """All pixels: from Lambert, with lobes from other starts too, then with the neighbours."""
+    """All pixels: from Lambert, with lobes from other starts too, then with the neighbours; or plain least squares."""
+    if used == "all":
+        return robust_fit.least_squares(grey, rays)
     fitted = robust_fit.fit(grey, rays, Material(), used="middle", show="solving")
     if used == "lit":
         fits = [robust_fit.fit(grey, rays, material, start=fitted, show="solving")]

@@ -37,6 +37,7 @@ INTERRUPTED = 130
 Output = Annotated[Path, typer.Option("-o", "--output", help="Folder for the results.")]
 Seed = Annotated[int, typer.Option(help="Seed of everything drawn at random.", min=0, max=2**63 - 1)]
 ModelName = Annotated[str, typer.Option(help="Reflectance model; `orennayar info` lists them.")]
+ModelOrAuto = Annotated[str, typer.Option(help="auto, or a model that `orennayar info` lists.")]
 Roughness = Annotated[float, typer.Option(help="Roughness in degrees, 0 to 90.", min=0, max=90)]
 
 MaskFile = Annotated[Path | None, typer.Option(help="Mask image kept elsewhere; white is the object.")]
@@ -160,7 +161,7 @@ def _camera(azimuth: float, elevation: float, fov: float | None) -> Camera:
 def stereo(
     capture: Annotated[Path, typer.Argument(help="Folder of images with a light file, DiLiGenT folder, or .lp file.")],
     output: Output = Path("out"),
-    model: Annotated[str, typer.Option(help="auto, or a model that `orennayar info` lists.")] = "auto",
+    model: ModelOrAuto = "auto",
     lights: Annotated[Path | None, typer.Option(help="Light file kept elsewhere.")] = None,
     mask: MaskFile = None,
     chrome: Annotated[Path | None, typer.Option(help="Folder of a chrome ball under the same lights.")] = None,
@@ -222,7 +223,7 @@ def shape(
     ] = None,
     albedo: Annotated[float | None, typer.Option(help="Albedo; default: estimated.", min=0)] = None,
     mask: MaskFile = None,
-    model: Annotated[str, typer.Option(help="auto, or a model that `orennayar info` lists.")] = "auto",
+    model: ModelOrAuto = "auto",
     contour: Annotated[
         bool, typer.Option(help="Whether the mask's edge is where the surface turns away from the viewer.")
     ] = True,

@@ -191,9 +191,8 @@ def _network_task() -> _Task:
     }
 
     def solve(images: Tensor, lights: Tensor, mask: Tensor) -> tuple[Tensor, ...]:
-        network = load_network().to(images.dtype)
-        found = solve_network(images, lights, mask[0], network)
-        return found["normal"], found["albedo"], torch.zeros_like(found["error"]), found["error"]
+        found = solve_network(images, lights, mask[0], load_network().to(images.dtype))
+        return found["normal"], found["albedo"], found["roughness"], found["error"]
 
     return _Task(network_graph(), meaning, STEREO_INPUTS, stereo_trials(TRAINED_LIGHTS), solve)
 

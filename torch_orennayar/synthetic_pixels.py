@@ -20,9 +20,8 @@ from .specular import microfacet
 class Ingredients:
     """What synthetic captures are made of; every share is a probability.
 
-    Of 151 measured materials (`scripts/chart_reflectance.py`) few are rough once a highlight is allowed, and those
-    under glaze have a falloff of about 1.1: the shares lean that way. Where two thirds are rough instead, the network
-    takes real surfaces for rougher than they are, and their slopes for steeper.
+    Of 151 measured materials (`scripts/chart_reflectance.py`) few are rough once a highlight is allowed: the shares
+    lean that way.
 
     Attributes:
         roughest: largest roughness of Oren-Nayar surfaces, radians.
