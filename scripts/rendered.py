@@ -30,6 +30,7 @@ from torch_orennayar import (
 )  # fmt: skip
 from torch_orennayar.demo import make_object, spiral_lights
 from torch_orennayar.mesh import normalise_mesh
+from torch_orennayar.synthetic_pixels import transmitted
 
 NOISE = 0.01
 BOUNCE = 0.06
@@ -75,14 +76,7 @@ MATERIALS: dict[str, Surface] = {
 
 def glazed(ci: Tensor, co: Tensor) -> Tensor:
     """Lambert's surface under a smooth interface of refractive index 1.5 (Wolff 1994, without the inner bounces)."""
-    return _transmitted(ci) * _transmitted(co)
-
-
-def _transmitted(cosine: Tensor) -> Tensor:
-    """What Fresnel's equations let through at an interface of index 1.5."""
-    inside = (1 - (1 - cosine * cosine) / 1.5**2).sqrt()
-    s, p = (cosine - 1.5 * inside) / (cosine + 1.5 * inside), (inside - 1.5 * cosine) / (inside + 1.5 * cosine)
-    return 1 - (s * s + p * p) / 2
+    return transmitted(ci, 1.5) * transmitted(co, 1.5)
 
 
 def matt_part(surface: Surface, ci: Tensor, co: Tensor, lv: Tensor) -> Tensor:

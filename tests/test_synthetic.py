@@ -18,7 +18,7 @@ from torch_orennayar import SyntheticCaptures
 from torch_orennayar.synthetic_pixels import Ingredients
 
 PLAIN = Ingredients(
-    rough=0, retro=0, falloff=0, glossy=0, metal=0, sheen=0, shadows=0, bounce=False, ambient=0, light_error=0,
+    rough=0, glazed=0, retro=0, falloff=0, glossy=0, metal=0, sheen=0, shadows=0, bounce=False, ambient=0, light_error=0,
     intensity_error=0, noise=(0, 0), clipped=0, outliers=0, bits=(24, 24),
 )  # fmt: skip
 
