@@ -15,7 +15,7 @@ from torch.utils.data import DataLoader
 
 import torch_orennayar as ton
 from torch_orennayar import SyntheticCaptures
-from torch_orennayar.synthetic_pixels import Ingredients
+from torch_orennayar.synthetic_pixels import Ingredients, transmitted
 
 PLAIN = Ingredients(
     rough=0, glazed=0, retro=0, falloff=0, glossy=0, metal=0, sheen=0, shadows=0, bounce=False, ambient=0, light_error=0,
@@ -43,11 +43,23 @@ def test_rough_pixels_are_those_of_the_model() -> None:
     assert 0.02 < difference.mean() < 0.3
 
 
+@pytest.mark.parametrize("index", [1.0, 1.3, 1.5, 2.4])
+def test_what_an_interface_lets_through(index: float) -> None:
+    """Fresnel's equations in angles."""
+    outside = torch.linspace(0.01, 1.57, 200, dtype=torch.float64)
+    within = (outside.sin() / index).asin()
+    back = ((outside - within).sin() / (outside + within).sin()) ** 2
+    back = back + ((outside - within).tan() / (outside + within).tan()) ** 2
+    assert torch.allclose(transmitted(outside.cos(), index), 1 - back / 2, atol=1e-10)
+    facing = transmitted(torch.tensor(1.0, dtype=torch.float64), index)
+    assert abs(facing - (1 - ((index - 1) / (index + 1)) ** 2)) < 1e-12
+
+
 @pytest.mark.parametrize(
     ("ingredient", "value"),
     [("glossy", 1.0), ("sheen", 1.0), ("shadows", 3), ("ambient", 0.2), ("light_error", 0.05), ("retro", 1.0),
      ("intensity_error", 0.1), ("noise", (0.05, 0.0)), ("noise", (0.0, 0.05)), ("clipped", 1.0), ("outliers", 1.0),
-     ("bits", (3.0, 3.0)), ("falloff", 1.0)],
+     ("bits", (3.0, 3.0)), ("falloff", 1.0), ("glazed", 1.0)],
 )  # fmt: skip
 def test_every_switch_changes_what_is_seen(ingredient: str, value: object) -> None:
     mix = replace(PLAIN, rough=1.0, easy=0.0)
@@ -69,7 +81,9 @@ def test_easy_pixels_have_no_walls_and_no_bad_photographs() -> None:
     index=st.integers(0, 2**40),
     most=st.integers(3, 30),
     switches=st.dictionaries(
-        st.sampled_from(["rough", "retro", "falloff", "glossy", "metal", "sheen", "clipped", "outliers", "easy"]),
+        st.sampled_from(
+            ["rough", "glazed", "retro", "falloff", "glossy", "metal", "sheen", "clipped", "outliers", "easy"]
+        ),
         st.sampled_from([0.0, 0.5, 1.0]),
     ),
 )
