@@ -18,8 +18,8 @@ from torch_orennayar import SyntheticCaptures
 from torch_orennayar.synthetic_pixels import Ingredients, transmitted
 
 PLAIN = Ingredients(
-    rough=0, glazed=0, retro=0, falloff=0, glossy=0, metal=0, sheen=0, shadows=0, bounce=False, ambient=0, light_error=0,
-    intensity_error=0, noise=(0, 0), clipped=0, outliers=0, bits=(24, 24),
+    rough=0, glazed=0, retro=0, falloff=0, glossy=0, metal=0, sheen=0, shadows=0, bounce=False, ambient=0,
+    light_error=0, intensity_error=0, noise=(0, 0), clipped=0, outliers=0, bits=(24, 24),
 )  # fmt: skip
 
 
@@ -162,6 +162,23 @@ class TestImages:
         dark = shaded < 0.5 * lit
         assert dark.float().mean() > 0.002
         assert (shaded <= lit * 1.05 + 1e-3)[~dark].all()
+
+    def test_hollows_light_themselves_and_flat_parts_do_not(self) -> None:
+        """Two walls at right angles: each sends light to the other, most near the edge; a single wall gets none."""
+        ridge = torch.tensor([[-1.0, -1, 0], [-1, 1, 0], [0, -1, -1], [0, 1, -1], [1, -1, 0], [1, 1, 0]])
+        faces = torch.tensor([[0, 2, 3], [0, 3, 1], [2, 4, 5], [2, 5, 3]])
+        flat = torch.tensor([[-1.0, -1, 0], [-1, 1, 0], [1, -1, 0], [1, 1, 0]])
+        for vertices, triangles, gains in ((ridge, faces, True), (flat, faces[:2], False)):
+            options = {"lights": (4, 4), "meshes": [(vertices, triangles)], "seed": 3}
+            plain, lit = (SyntheticCaptures("images", mix=replace(PLAIN, bounce=b), **options) for b in (False, True))  # type: ignore[arg-type]
+            for index in range(8):
+                before, after = plain.sample(index), lit.sample(index)
+                assert torch.equal(before["normal"], after["normal"])
+                same = torch.allclose(before["images"], after["images"], atol=1e-4)
+                gained = float((after["images"] / after["images"].amax().clamp_min(1e-9)).mean())
+                gained -= float((before["images"] / before["images"].amax().clamp_min(1e-9)).mean())
+                assert same or (gains and gained > 0)
+            assert gains or same
 
     def test_given_meshes_are_used_and_turned(self) -> None:
         corners = torch.tensor([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])

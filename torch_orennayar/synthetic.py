@@ -11,14 +11,16 @@ import torch.nn.functional as F
 from torch import Tensor
 from torch.utils.data import IterableDataset, get_worker_info
 
+from .bounce import bounced_light
 from .camera import Camera
 from .errors import RangeError
 from .mesh import normalise_mesh
-from .render import render_normals
+from .render import NormalMap, render_normals
 from .shadow import cast_shadows
 from .synthetic_pixels import (
     Draw,
     Ingredients,
+    Materials,
     draw_lights,
     draw_material,
     draw_normals,
@@ -132,19 +134,18 @@ class SyntheticCaptures(IterableDataset[dict[str, Tensor]]):
         mask, normal = seen.mask[0], seen.normal[0]
         inside = mask[0]
         lights = draw_lights(draw, 1, count)[0]
-        points = normal[:, inside].T
-        view = camera.view_directions(self.size)[0].expand(3, *self.size)[:, inside].T
-        ci, co = points @ lights.T, (points * view).sum(1, keepdim=True)
-        held = ci.clamp_min(1e-3)
         # One material; its grey albedo is painted over with a texture afterwards.
         material = draw_material(draw, 1, mix)
-        shown = material.reflect(held, co.clamp_min(0.05).expand_as(ci), view @ lights.T) * ci.clamp_min(0)
-        shown = shown * (co > 0)
         texture = _texture(draw, self.size)
-        colours = texture[:, inside].T[:, :, None] * shown[:, None]  # (P, 3, K)
+        paint = texture[:, inside].T
+        shown, light = _shade(seen, lights, material)
         if mix.shadows:
-            reached = cast_shadows(vertices, faces, seen, lights, resolution=4 * max(self.size))
-            colours = colours * reached[:, 0, inside].T[:, None]
+            reached = cast_shadows(vertices, faces, seen, lights, resolution=4 * max(self.size))[:, 0, inside].T
+            shown, light = shown * reached, light * reached
+        colours = paint[:, :, None] * shown[:, None]  # (P, 3, K)
+        if mix.bounce:
+            sent = paint[:, :, None] * _bounced(draw, seen, paint, light)
+            colours = colours + material.albedo * material.matt * sent
         level = colours.mean().clamp_min(1e-6)
         colours = colours + draw.uniform(1, high=mix.ambient) * level
         noisy = _sense_picture(draw, colours, mix)
@@ -172,6 +173,30 @@ class SyntheticCaptures(IterableDataset[dict[str, Tensor]]):
         return vertices / vertices.norm(dim=1).amax().clamp_min(1e-9), faces
 
 
+def _shade(seen: NormalMap, lights: Tensor, material: Materials) -> tuple[Tensor, Tensor]:
+    """What the P pixels of a view show and what falls on them, (P, K) each, nothing in the way of the lights."""
+    inside = seen.mask[0, 0]
+    normal = seen.normal[0][:, inside].T
+    view = seen.camera.view_directions((inside.shape[0], inside.shape[1]))[0].expand(3, *inside.shape)[:, inside].T
+    ci, co = normal @ lights.T, (normal * view).sum(1, keepdim=True)
+    light = ci.clamp_min(0)
+    value = material.reflect(ci.clamp_min(1e-3), co.clamp_min(0.05).expand_as(ci), view @ lights.T)
+    return value * light * (co > 0), light
+
+
+def _bounced(draw: Draw, seen: NormalMap, paint: Tensor, light: Tensor) -> Tensor:
+    """What else falls on them, (P, 3, K): light (P, K) that others of colours (P, 3) send on."""
+    inside, camera = seen.mask[0, 0], seen.camera
+    normal = seen.normal[0][:, inside].T
+    points = camera.points(seen.depth.where(seen.mask, 1.0))[0][:, inside].T
+    view = camera.view_directions((inside.shape[0], inside.shape[1]))[0].expand(3, *inside.shape)[:, inside].T
+    pixel = 2 / (inside.shape[0] * camera.focal[0, 1]) * (points[:, 2:] if camera.is_perspective else 1)
+    area = pixel**2 / (normal * view).sum(1, keepdim=True).clamp_min(0.1)
+    order = torch.randperm(len(points), generator=draw.generator, device=points.device)
+    found = bounced_light(*(part[order] for part in (points, normal, area, paint, light)))
+    return found[order.argsort()]
+
+
 def _camera(draw: Draw) -> Camera:
     """Looks at the unit sphere; half of them from so near that it shows."""
     if draw.uniform(1).item() < 0.5:
@@ -195,7 +220,7 @@ def _made_mesh(draw: Draw) -> Mesh:
         mesh = trimesh.creation.icosphere(4) if kind == 0 else trimesh.creation.torus(0.65, 0.3)
     vertices = torch.tensor(mesh.vertices, dtype=torch.float32, device=draw.device)
     waves = draw.normal(6, 3) * draw.uniform(6, 1, low=1, high=6)
-    push = (torch.sin(vertices @ waves.T + draw.uniform(6, high=6.3)) * draw.uniform(6, low=0.0, high=0.05)).sum(1)
+    push = (torch.sin(vertices @ waves.T + draw.uniform(6, high=6.3)) * draw.uniform(6, low=0.0, high=0.1)).sum(1)
     return vertices * (1 + push[:, None]), torch.tensor(mesh.faces, device=draw.device)
 
 

@@ -35,7 +35,7 @@ class Ingredients:
         metal: share of glossy surfaces without a matt part worth naming.
         sheen: share that glows at grazing angles.
         shadows: most walls that may stand in the way of lights; 0 for none.
-        bounce: whether walls send light on.
+        bounce: whether walls, and in pictures the surface itself, send light on.
         ambient: most light from everywhere, as a share of the mean.
         light_error: largest error of light directions, radians.
         intensity_error: largest error of the lights' brightness as told.
