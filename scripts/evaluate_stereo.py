@@ -37,6 +37,8 @@ from torch_orennayar import (
     photometric_stereo,
 )  # fmt: skip
 from torch_orennayar.calibrate import own_intensities
+from torch_orennayar.interreflection import choose_glow
+from torch_orennayar.material import Material
 from torch_orennayar.progress import track
 from torch_orennayar.selection import condition
 
@@ -197,6 +199,20 @@ def two_roughnesses() -> dict[str, dict[str, float]]:
     return rows
 
 
+def light_between() -> dict[str, dict[str, float]]:
+    """Mean error in degrees on balls that light each other, and the albedo that their hollows tell."""
+    rows = {}
+    for albedo in (0.2, 0.5, 0.8):
+        scene = rendered.hollow_capture(rendered.objects()["balls"], albedo)
+        case = Photographs("", scene.images, scene.lights, scene.mask, scene.normal)
+        row = {
+            m: case.error(METHODS[m](case.images, case.lights, case.mask)).nanmean().item() for m in ("lambert", "auto")
+        }
+        glow, _ = choose_glow(scene.images, scene.lights, scene.mask[0], Material(), 0)
+        rows[f"albedo {albedo}"] = row | {"albedo told": glow.strength if glow else 0.0}
+    return rows
+
+
 def calibration(cases: list[Photographs]) -> dict[str, dict[float, float]]:
     """RMS error in eight groups of pixels by the error that `auto`'s confidence predicts, degrees."""
     curves = {}
@@ -280,6 +296,7 @@ def main() -> None:
     document["wrong calibration"] = wrong_calibration(first)
     document["wrong calibration"]["distance of near lights, percent"] = wrong_distance()
     document["two roughnesses"] = two_roughnesses()
+    document["light between parts"] = light_between()
     document["confidence"] = calibration(real or made[:3])
     if options.folders:
         document["peak MB"] = {Path(f).name: alone(peak, f) for f in options.folders}
@@ -288,9 +305,10 @@ def main() -> None:
         print(f"{name} ({first.name})" if name != "confidence" else "RMS error by predicted error, degrees")
         for line, curve in document[name].items():
             print(f"  {line:36}" + "  ".join(f"{x:.3g}: {y:.2f}" for x, y in curve.items()))
-    print("mean error of objects of two roughnesses, degrees")
-    for line, row in document["two roughnesses"].items():
-        print(f"  {line:36}" + "  ".join(f"{name}: {value:.2f}" for name, value in row.items()))
+    for title in ("two roughnesses", "light between parts"):
+        print(f"mean error in degrees, {title}")
+        for line, row in document[title].items():
+            print(f"  {line:36}" + "  ".join(f"{name}: {value:.2f}" for name, value in row.items()))
     (options.output / "stereo.json").write_text(json.dumps(document, indent=2) + "\n")
     for title, cases in (("photographs", real), ("rendered", made)):
         if cases:

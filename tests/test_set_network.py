@@ -154,7 +154,7 @@ def test_graph_equals_torch_and_repeats_to_the_bit(graph: Path, rough: Scene) ->
         assert all(torch.allclose(value, other[name], rtol=0, atol=atol) for name, value in answers[0].items())
 
 
-@pytest.mark.parametrize(("name", "bar"), [("ball", 2.7), ("cat", 5.0), ("reading", 13.0)])
+@pytest.mark.parametrize(("name", "bar"), [("ball", 1.6), ("cat", 4.8), ("reading", 12.0)])
 def test_real_objects(data: Path, name: str, bar: float) -> None:
     """Not trained on; the design page's prototype errs by 2.16, 3.77 and 13.6 degrees."""
     capture = load_capture(data / "diligent" / f"{name}PNG")

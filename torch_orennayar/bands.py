@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import torch
 from torch import Tensor
@@ -25,7 +25,13 @@ OVERLAP = SWEEPS + 5 + RADIUS
 """Rows beyond a band that its pixels hear of: through sweeps, choice of starts, shared misfit and shared roughness."""
 
 
-def solve_bands(images: Tensor, lights: Tensor, inside: Tensor, material: Material, used: str) -> dict[str, Tensor]:
+Mend = Callable[[Tensor, int], Tensor]
+"""What photographs' rows (K, C, R, W), from a first one on, should have shown."""
+
+
+def solve_bands(
+    images: Tensor, lights: Tensor, inside: Tensor, material: Material, used: str, mend: Mend | None = None
+) -> dict[str, Tensor]:
     """Maps (C, H, W) of the whole picture, solved in bands of rows that bound the memory.
 
     Bands overlap by as many rows as pixels see of their neighbours, so that no seam shows.
@@ -39,7 +45,8 @@ def solve_bands(images: Tensor, lights: Tensor, inside: Tensor, material: Materi
         if not bool(inside[top:bottom].any()):
             continue
         part = lights if lights.ndim == 2 else lights[:, :, first:last]
-        found = _solve(images[:, :, first:last], part, inside[first:last], material, used)
+        seen = images[:, :, first:last]
+        found = _solve(mend(seen, first) if mend else seen, part, inside[first:last], material, used)
         if rows >= height:
             return found
         for name, value in found.items():

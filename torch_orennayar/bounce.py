@@ -27,20 +27,20 @@ def bounced_light(points: Tensor, normal: Tensor, area: Tensor, albedo: Tensor, 
     """
     some = slice(0, PATCHES)
     share = area[some] * len(points) / min(PATCHES, len(points))
-    factors = _form_factors(points, normal, points[some], normal[some], share)
+    factors = form_factors(points, normal, points[some], normal[some], share)
     own = albedo[some, :, None] * irradiance[some, None]
     sent = own
     for _ in range(BOUNCES - 1):
-        sent = own + albedo[some, :, None] * _arriving(factors[some], sent)
-    return _arriving(factors, sent)
+        sent = own + albedo[some, :, None] * arriving(factors[some], sent)
+    return arriving(factors, sent)
 
 
-def _arriving(factors: Tensor, sent: Tensor) -> Tensor:
+def arriving(factors: Tensor, sent: Tensor) -> Tensor:
     """(P, Q) times (Q, C, K)."""
     return (factors @ sent.flatten(1)).reshape(-1, *sent.shape[1:])
 
 
-def _form_factors(points: Tensor, normal: Tensor, others: Tensor, facing: Tensor, area: Tensor) -> Tensor:
+def form_factors(points: Tensor, normal: Tensor, others: Tensor, facing: Tensor, area: Tensor) -> Tensor:
     """Share (P, Q) of what each patch sends that arrives, as from discs: finite at any distance."""
     square = torch.cdist(points, others, compute_mode="donot_use_mm_for_euclid_dist").square()
     here = normal @ others.T - (normal * points).sum(1, keepdim=True)

@@ -11,9 +11,10 @@ from torch import Tensor
 
 from . import _robust_fit as robust_fit
 from ._checks import check_floating, check_mask
-from .bands import band_height, gather, gather_directions, solve_bands
+from .bands import Mend, band_height, gather, gather_directions, solve_bands
 from .errors import CaptureError, RangeError, ShapeError
 from .evaluation import working_dtype
+from .interreflection import choose_glow
 from .material import Material, Rays
 from .network_stereo import NETWORK, TRAINED_LIGHTS, solve_network
 from .reconstruction import Reconstruction, stack
@@ -58,7 +59,8 @@ def photometric_stereo(
 
     ``auto`` weighs four diffuse parts (Lambert; Lambert with Minnaert's falloff, as under glaze; ``vcavity`` with one
     roughness, and with a smooth map of it), each with no, one and two specular lobes, by their error on lights that
-    were held out, and takes the simplest within 2 % of the best; a map must gain a tenth to be weighed at all.
+    were held out, and takes the simplest within 2 % of the best; a map must gain a tenth to be weighed at all. Where
+    hollows are explained better by it, light that parts of the surface send each other is taken away first.
 
     Models with inter-reflection take albedo in the unit of the images (1 is white), cut to [0, 1]. Not
     differentiable. float64 is solved in float64, all else in float32. The same seed gives the same
@@ -135,7 +137,12 @@ def photometric_stereo(
             report.append(f"{len(images)} lights are fewer than the {TRAINED_LIGHTS} that it was trained on.")
         maps = solve_network(images, lights, inside)
     else:
-        maps = solve_bands(images, lights, inside, material, used)
+        mend: Mend | None = None
+        if scores:
+            glow, told = choose_glow(images, lights, inside, material, seed)
+            report.append(told)
+            mend = glow.removed_from if glow else None
+        maps = solve_bands(images, lights, inside, material, used, mend)
         if material.varied:
             uncertain = _report_map(sample, seen_by, material, maps["roughness"][:, inside], report)
     _report_doubts(dark, maps, len(images), material.model, report)

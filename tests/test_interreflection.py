@@ -1,0 +1,109 @@
+"""Light between the parts of a surface: the renders know what each part sends, the solver does not."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import rendered
+import torch
+from torch import Tensor
+
+from torch_orennayar import angular_error, interreflection, photometric_stereo, stereo
+from torch_orennayar.interreflection import Glow, choose_glow, find_glow
+from torch_orennayar.material import Material
+
+
+@pytest.fixture(scope="module")
+def meshes() -> dict[str, tuple[Tensor, Tensor]]:
+    return rendered.objects()
+
+
+@pytest.mark.parametrize("albedo", [0.2, 0.5, 0.8])
+def test_hollows_tell_the_albedo_and_then_their_shape(
+    meshes: dict[str, tuple[Tensor, Tensor]], albedo: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The exposure is unknown, so that albedo shows in nothing but the light between the balls."""
+    scene = rendered.hollow_capture(meshes["balls"], albedo, size=96)
+    glow, told = choose_glow(scene.images, scene.lights, scene.mask[0], Material(), 0)
+    assert glow is not None
+    assert abs(glow.strength - albedo) <= 0.2
+    assert f"albedo {glow.strength:g}" in told
+    found = photometric_stereo(scene.images, scene.lights, scene.mask)
+    assert told in found.report
+    monkeypatch.setattr(stereo, "choose_glow", lambda *given: (None, ""))
+    without = photometric_stereo(scene.images, scene.lights, scene.mask)
+    errors = [angular_error(f.normal, scene.normal, scene.mask).summary()["mean"] for f in (found, without)]
+    assert errors[0] < 0.9 * errors[1]
+
+
+def test_a_body_without_hollows_is_left_alone(meshes: dict[str, tuple[Tensor, Tensor]]) -> None:
+    scene = rendered.hollow_capture(meshes["bumps"], 0.8, size=96)
+    glow, told = choose_glow(scene.images, scene.lights, scene.mask[0], Material(), 0)
+    assert glow is None
+    assert "hardly" in told
+
+
+def test_shadows_without_bounces_are_not_taken_for_some(meshes: dict[str, tuple[Tensor, Tensor]]) -> None:
+    """As dark a surface as there is: hollows that send nothing."""
+    scene = rendered.hollow_capture(meshes["balls"], 1e-3, size=96)
+    glow, told = choose_glow(scene.images, scene.lights, scene.mask[0], Material(), 0)
+    assert glow is None
+    assert "no better" in told
+
+
+def test_two_parts_that_are_not_connected_do_not_light_each_other() -> None:
+    """Their distance along the view is unknown."""
+    tent = torch.zeros(3, 40, 41)
+    tent[0, :, :20], tent[0, :, 21:] = 0.6, -0.6  # two walls that face each other, a gap of one column between
+    tent[2] = 0.8
+    inside = torch.ones(40, 41, dtype=torch.bool)
+    inside[:, 20] = False
+    lights = torch.nn.functional.normalize(
+        torch.tensor([[0.5, 0, 1], [-0.5, 0.1, 1], [0.1, 0.5, 1], [0, -0.5, 1]]), dim=1
+    )
+    images = torch.einsum("kc,chw->khw", lights, tent).clamp_min(0)[:, None] * inside
+    assert find_glow(images, lights, inside).share.abs().max() < 1e-6  # a wall and itself, rounded
+    joined = torch.ones_like(inside)
+    assert find_glow(torch.where(joined, images + 1e-3, 0), lights, joined).share.max() > 0.05
+
+
+def test_rows_pixels_and_the_whole_agree(
+    meshes: dict[str, tuple[Tensor, Tensor]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Light is followed at half the size here."""
+    monkeypatch.setattr(interreflection, "MOST_PIXELS", 5000)
+    scene = rendered.hollow_capture(meshes["balls"], 0.6, size=201, lights=4)
+    found = find_glow(scene.images, scene.lights, scene.mask[0])
+    assert found.share.shape == (4, 1, 101, 101)
+    glow = Glow(found.share, found.factor, 0.5)
+    whole = glow.removed_from(scene.images, 0)
+    assert torch.allclose(glow.removed_from(scene.images[:, :, 60:90], 60), whole[:, :, 60:90], atol=1e-6)
+    picked = scene.mask.flatten().nonzero().flatten()[::37]
+    taken = (scene.images - whole)[:, 0].flatten(1)[:, picked].T
+    assert torch.allclose(glow.at(scene.images, picked), taken, atol=1e-6)
+    assert torch.equal(Glow(found.share, found.factor, 0.0).removed_from(scene.images, 0), scene.images)
+
+
+def test_what_arrives_in_a_groove() -> None:
+    """A long right-angled groove, both walls even: the other wall fills a known share of every point's sky.
+
+    A point at distance x along its wall of width w sees the other with the form factor (1 - x / sqrt(x^2 + w^2)) / 2
+    of two perpendicular strips of infinite length.
+    """
+    width, length = 24, 300
+    normal = torch.zeros(3, length, 2 * width)
+    normal[0, :, :width], normal[0, :, width:] = math.sqrt(0.5), -math.sqrt(0.5)
+    normal[2] = math.sqrt(0.5)
+    lights = torch.nn.functional.normalize(
+        torch.tensor([[0.2, 0.0, 1], [-0.2, 0.1, 1], [0.0, 0.3, 1], [0.0, -0.2, 1]]), dim=1
+    )
+    images = torch.einsum("kc,chw->khw", lights, normal)[:, None]
+    share = find_glow(images, lights, torch.ones(length, 2 * width, dtype=torch.bool)).share
+    strip = (torch.arange(width) + 0.5).flip(0)  # along the slope, in any unit
+    factor = (1 - strip / (strip.square() + width**2).sqrt()) / 2
+    mean = images[:, 0, 150].mean(0)
+    other = images[:, 0, 150, width:].mean(1, keepdim=True)  # what the other wall shows
+    wanted = factor * other / mean[:width]
+    got = share[:, 0, 120:180, :width].mean(1)
+    assert torch.allclose(got[:, :-4], wanted[:, :-4], rtol=0.05)  # the bottom is rounded

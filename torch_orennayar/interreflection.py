@@ -1,0 +1,169 @@
+"""Light that parts of a surface send to each other, found from photographs and taken out of them.
+
+What every part sends is what its photograph shows; where it goes follows from a first, simple surface. How white the
+surface is in truth, photographs of unknown exposure do not tell: that one number is chosen by how well what is left
+is explained.
+
+Source: the idea of taking shapes and light between them in turns: Nayar, Ikeuchi & Kanade 1991, "Shape from
+interreflections".
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from . import _robust_fit as robust_fit
+from .bands import gather, gather_directions, solve_bands
+from .bounce import form_factors
+from .integrate import integrate_normals
+from .material import Material, Rays
+from .selection import SAMPLE_PIXELS, error
+
+MOST_PIXELS = 15_000
+"""Of the picture on which light is followed; larger ones are halved until they fit."""
+STEEPEST = 0.15
+"""Least cosine to the view with which a pixel's surface is reckoned."""
+STRENGTHS = (0.2, 0.4, 0.6, 0.8, 1.0)
+"""Albedos that are tried for the brightest twentieth of the surface."""
+PATCHES = 1000
+"""Of the surface, whose light is followed."""
+CHUNK = 4096
+"""Pixels at once."""
+LOOKED_AT = 10_000
+"""Pixels among which hollows are sought."""
+NOTABLE = 0.03
+"""Share of a pixel's light that must come from others, were they white, for it to lie in a hollow."""
+FEWEST = 100
+"""Hollow pixels that can decide."""
+GAIN = 0.005
+"""Share of the misfit in hollows that must go."""
+
+
+@dataclass(frozen=True)
+class Glow:
+    """Light from other parts of the surface.
+
+    Attributes:
+        share: (K, C, h, w) of a pixel's mean over lights, for a surface whose brightest parts are white.
+        factor: how many times smaller than the photographs it is.
+        strength: albedo of those parts.
+    """
+
+    share: Tensor
+    factor: int
+    strength: float = 1.0
+
+    def removed_from(self, images: Tensor, first: int) -> Tensor:
+        """Rows ``first`` on of the photographs, (K, C, R, W), without that light."""
+        rows, columns = (torch.arange(n, device=images.device) for n in images.shape[2:])
+        places = self._places(rows[:, None] + first, columns)
+        mean = images.mean(0, dtype=self.share.dtype)
+        left = torch.empty_like(images)
+        for k, image in enumerate(images):
+            left[k] = image - (self.strength * _sampled(self.share[k : k + 1], places)[0] * mean).to(images)
+        return left
+
+    def at(self, images: Tensor, picked: Tensor) -> Tensor:
+        """That light at P pixels, (P, K), grey."""
+        width = images.shape[3]
+        places = self._places(picked // width, picked % width)
+        mean = images.flatten(2)[:, :, picked].to(self.share).mean(0)
+        return (self.strength * _sampled(self.share, places[None])[:, :, 0] * mean).mean(1).T
+
+    def _places(self, rows: Tensor, columns: Tensor) -> Tensor:
+        """Pixels in grid_sample's units, (..., 2)."""
+        height, width = (self.factor * n for n in self.share.shape[2:])
+        x, y = torch.broadcast_tensors((columns + 0.5) / width * 2 - 1, (rows + 0.5) / height * 2 - 1)
+        return torch.stack((x, y), -1).to(self.share)
+
+
+def _sampled(maps: Tensor, places: Tensor) -> Tensor:
+    """Maps (N, C, h, w) at (R, S, 2)."""
+    return F.grid_sample(maps, places.expand(len(maps), -1, -1, -1), padding_mode="border", align_corners=False)
+
+
+def choose_glow(
+    images: Tensor, lights: Tensor, inside: Tensor, material: Material, seed: int
+) -> tuple[Glow | None, str]:
+    """The light to take out of photographs, if that explains hollows better, and a sentence on it."""
+    glow = find_glow(images, lights, inside)
+    place = inside.flatten().nonzero().flatten()
+    generator = torch.Generator().manual_seed(seed)
+    picked = place[torch.randperm(len(place), generator=generator)[:LOOKED_AT].to(place.device)]
+    received, grey = glow.at(images, picked), gather(images, picked)
+    share = received.mean(1) / robust_fit.mean_of(grey)[:, 0]
+    hollow = (share > NOTABLE).nonzero().flatten()[:SAMPLE_PIXELS]
+    if len(hollow) < FEWEST:
+        return None, "parts of the surface hardly light each other."
+    received, grey = received[hollow], grey[hollow]
+    rays = Rays.of(gather_directions(lights, picked[hollow]).to(grey))
+    unit, weight = robust_fit.mean_of(grey), robust_fit.in_light(grey) * share[hollow, None]
+    material = replace(material, varied=False)
+
+    fitted = robust_fit.fit(grey, rays, Material(), used="middle", steps=8)
+    costs: dict[float, float] = {}
+    for strength in (0.0, *STRENGTHS):
+        left = grey - strength * received
+        fitted = robust_fit.fit(left, rays, material, start=fitted, steps=6 if costs else 12)
+        costs[strength] = error(left, robust_fit.predict(fitted, rays, material), unit, weight)
+    best = min(costs, key=costs.__getitem__)
+    listed = ", ".join(f"{strength:g} {cost:.4f}" for strength, cost in costs.items())
+    if costs[best] > (1 - GAIN) * costs[0.0]:
+        return (
+            None,
+            f"light from other parts of the surface explains hollows no better (misfit in hollows by albedo: {listed}).",
+        )
+    return replace(glow, strength=best), (
+        f"light that parts of the surface send each other is taken away, as of a surface whose brightest parts have "
+        f"albedo {best:g} (misfit in hollows by albedo: {listed})."
+    )
+
+
+def find_glow(images: Tensor, lights: Tensor, inside: Tensor) -> Glow:
+    """What every pixel of photographs (K, C, H, W) receives from the others, if the brightest are white."""
+    factor = 1
+    while int(inside.sum()) > MOST_PIXELS * factor * factor:
+        factor *= 2
+    small, mask = _pooled(images, inside, factor)
+    if lights.ndim == 4:
+        lights = F.normalize(F.avg_pool2d(lights, factor, ceil_mode=True), dim=1)
+    found = solve_bands(small, lights, mask, Material(), "middle")
+    points, part = _points(found["normal"], mask)
+    normal, seen, albedo = (m[..., mask].movedim(-1, 0) for m in (found["normal"], small, found["albedo"]))
+    order = torch.randperm(len(points), generator=torch.Generator().manual_seed(0))[:PATCHES].to(points.device)
+    area = len(points) / len(order) / normal[order, 2:].clamp_min(STEEPEST)
+    white = found["albedo_grey"][0, mask].quantile(0.95).clamp_min(1e-12)
+    share = torch.zeros_like(small)
+    arriving = []
+    for rows in torch.arange(len(points), device=points.device).split(CHUNK):
+        factors = form_factors(points[rows], normal[rows], points[order], normal[order], area)
+        factors = factors * (part[rows, None] == part[order])
+        light = (factors @ seen[order].flatten(1)).reshape(-1, *seen.shape[1:])  # (p, K, C)
+        arriving.append(light * (albedo[rows] / white / seen[rows].mean(1).clamp_min(1e-12))[:, None])
+    share[..., mask] = torch.cat(arriving).movedim(0, -1)
+    return Glow(share, factor)
+
+
+def _pooled(images: Tensor, inside: Tensor, factor: int) -> tuple[Tensor, Tensor]:
+    """Photographs (K, C, h, w), float32 at least, and mask (h, w), so many times smaller."""
+    weight = F.avg_pool2d(inside[None].float(), factor, ceil_mode=True, count_include_pad=False)
+    small = [
+        F.avg_pool2d(torch.where(inside, image, 0).to(weight), factor, ceil_mode=True, count_include_pad=False)
+        / weight.clamp_min(1e-6)
+        for image in images
+    ]
+    return torch.stack(small), weight[0] >= 0.5
+
+
+def _points(normal: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
+    """Where the pixels lie, (P, 3) in pixels, and to which connected part they belong, (P,)."""
+    from scipy.ndimage import label
+
+    height = integrate_normals(normal, mask[None])[0, mask].to(normal)
+    row, column = mask.nonzero().unbind(1)
+    part = torch.from_numpy(label(mask.cpu().numpy())[0]).to(mask.device)[mask]
+    return torch.stack((column.to(height), -row.to(height), height), 1), part
