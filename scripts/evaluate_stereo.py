@@ -130,7 +130,7 @@ def few_lights(case: Photographs, trials: int) -> dict[str, dict[int, float]]:
     curves: dict[str, dict[int, float]] = {}
     counts = [k for k in (3, 4, 5, 6, 8, 10, 12, 16, 24, 48, 96) if k <= len(case.lights)]
     draws = {k: [_spread_draw(case.lights, k, generator) for _ in range(trials if k < 48 else 1)] for k in counts}
-    for name in ("least squares", "lambert", "auto"):
+    for name in ("least squares", "lambert", "network", "auto"):
         curves[name] = {}
         for k in track(counts, f"few lights, {name}", len(counts)):
             errors = []

@@ -113,13 +113,10 @@ def choose_glow(
     best = min(costs, key=costs.__getitem__)
     listed = ", ".join(f"{strength:g} {cost:.4f}" for strength, cost in costs.items())
     if costs[best] > (1 - GAIN) * costs[0.0]:
-        return (
-            None,
-            f"light from other parts of the surface explains hollows no better (misfit in hollows by albedo: {listed}).",
-        )
+        return None, f"light between parts of the surface explains hollows no better (misfit by albedo: {listed})."
     return replace(glow, strength=best), (
         f"light that parts of the surface send each other is taken away, as of a surface whose brightest parts have "
-        f"albedo {best:g} (misfit in hollows by albedo: {listed})."
+        f"albedo {best:g} (misfit by albedo: {listed})."
     )
 
 
