@@ -79,7 +79,9 @@ def write_reconstruction(
         "model": found.model,
         "scores": found.scores,
         "roughness_degrees": math.degrees(arrays["roughness"].max().item()),
-        "roughness_range_degrees": np.percentile(np.degrees(arrays["roughness"][mask]), (5, 95)).round(2).tolist(),
+        "roughness_range_degrees": np.percentile(np.degrees(arrays["roughness"][mask].numpy()), (5, 95))
+        .round(2)
+        .tolist(),
         "roughness_error_degrees": _in_degrees(found.roughness_error),
         "falloff": found.falloff,
         "exponents": list(found.exponents),
