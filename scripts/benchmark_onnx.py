@@ -1,10 +1,10 @@
 """Milliseconds per frame of shading and its largest error, in torch, ONNX Runtime and a browser.
 
-    python scripts/benchmark_onnx.py [--models lambert qualitative vcavity] [--output out/benchmark]
+    python scripts/benchmark_onnx.py [--models lambert qualitative vcavity] [--capture FOLDER] [--output out/benchmark]
 
 One picture of 512 and 1024 pixels squared, one light, grey albedo: torch eager and compiled, ONNX Runtime with 1 and 2
 threads, and, where Chromium, npm and Playwright are there, the page's WASM with 1 and with all threads. Medians;
-errors are against float64. Prints a table, writes onnx.json.
+errors are against float64. With a capture, both `stereo` graphs solve it too. Prints a table, writes onnx.json.
 """
 
 from __future__ import annotations
@@ -25,6 +25,8 @@ from example_code import CAN_BROWSE, CHROMIUM, served_page
 from torch import Tensor
 
 import torch_orennayar as ton
+from torch_orennayar.network_stereo import solve_network
+from torch_orennayar.stereo_graph import solve_closed_form
 
 RUNS, WARM = 30, 5
 IN_PAGE = """async ([name, side, runs]) => {
@@ -130,10 +132,35 @@ def pages() -> Iterator[list[Any]]:
         browser.close()
 
 
+def solve_capture(folder: Path) -> None:
+    """Print seconds and largest angle to torch's normals of both `stereo` graphs on a capture, 2 threads."""
+    capture = ton.load_capture(folder)
+    images, lights, mask = capture.images.float(), capture.lights, capture.mask
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = 2
+    feeds = {"images": images.numpy(), "lights": lights.numpy(), "mask": mask.numpy()}
+    wanted = {
+        "vcavity": lambda: solve_closed_form(images, lights, mask, "vcavity")[0],
+        "network": lambda: solve_network(images, lights, mask[0])["normal"],
+    }
+    for model, solve in wanted.items():
+        with tempfile.TemporaryDirectory() as kept:
+            graph = ton.export_onnx("stereo", Path(kept) / "stereo.onnx", model=model)
+            session = onnxruntime.InferenceSession(str(graph), options, providers=["CPUExecutionProvider"])
+        begun = time.perf_counter()
+        found = torch.from_numpy(session.run(["normal"], feeds)[0])
+        seconds = time.perf_counter() - begun
+        apart = ton.angular_error(found, solve(), mask).as_subclass(Tensor)[mask]
+        print(
+            f"stereo graph, {model}: {seconds:.1f} s, degrees from torch {apart.nanmean():.1e}, most {apart.max():.1e}"
+        )
+
+
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--models", nargs="+", default=["lambert", "qualitative", "vcavity"])
+    parser.add_argument("--capture", type=Path)
     parser.add_argument("--output", type=Path, default=Path("out/benchmark"))
     options = parser.parse_args()
     document: dict[str, dict[str, dict[str, tuple[float, float]]]] = {}
@@ -151,6 +178,8 @@ def main() -> None:
         for name in sides["512"]:
             cells = (f"{rows[name][0]:9.1f} ms {rows[name][1]:11.1e}" for rows in sides.values())
             print(f"  {name:22}" + "".join(cells))
+    if options.capture:
+        solve_capture(options.capture)
     options.output.mkdir(parents=True, exist_ok=True)
     (options.output / "onnx.json").write_text(json.dumps(document, indent=2) + "\n")
 
