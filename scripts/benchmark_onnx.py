@@ -4,7 +4,8 @@
 
 One picture of 512 and 1024 pixels squared, one light, grey albedo: torch eager and compiled, ONNX Runtime with 1 and 2
 threads, and, where Chromium, npm and Playwright are there, the page's WASM with 1 and with all threads. Medians;
-errors are against float64. With a capture, both `stereo` graphs solve it too. Prints a table, writes onnx.json.
+errors are against float64. Prints a table, writes onnx.json. With a
+capture, prints how long both `stereo` graphs take for it, and their angle to torch's normals.
 """
 
 from __future__ import annotations
@@ -135,7 +136,7 @@ def pages() -> Iterator[list[Any]]:
 def solve_capture(folder: Path) -> None:
     """Print seconds and largest angle to torch's normals of both `stereo` graphs on a capture, 2 threads."""
     capture = ton.load_capture(folder)
-    images, lights, mask = capture.images.float(), capture.lights, capture.mask
+    images, lights, mask = capture.images.float(), capture.lights.float(), capture.mask
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = 2
     feeds = {"images": images.numpy(), "lights": lights.numpy(), "mask": mask.numpy()}
@@ -151,9 +152,8 @@ def solve_capture(folder: Path) -> None:
         found = torch.from_numpy(session.run(["normal"], feeds)[0])
         seconds = time.perf_counter() - begun
         apart = ton.angular_error(found, solve(), mask).as_subclass(Tensor)[mask]
-        print(
-            f"stereo graph, {model}: {seconds:.1f} s, degrees from torch {apart.nanmean():.1e}, most {apart.max():.1e}"
-        )
+        apart = apart[apart.isfinite()]
+        print(f"stereo graph, {model}: {seconds:.1f} s, degrees from torch {apart.mean():.1e}, most {apart.max():.1e}")
 
 
 def main() -> None:

@@ -7,6 +7,7 @@ import math
 import pytest
 import rendered
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 from torch_orennayar import angular_error, interreflection, photometric_stereo, stereo
@@ -52,16 +53,16 @@ def test_shadows_without_bounces_are_not_taken_for_some(meshes: dict[str, tuple[
     assert "no better" in told
 
 
-def test_two_parts_that_are_not_connected_do_not_light_each_other() -> None:
-    """Their distance along the view is unknown."""
+@pytest.mark.parametrize("most", [100, 10_000])
+def test_two_parts_that_are_not_connected_do_not_light_each_other(most: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Their distance along the view is unknown; also where light is followed on a smaller picture."""
+    monkeypatch.setattr(interreflection, "MOST_PIXELS", most)
     tent = torch.zeros(3, 40, 41)
     tent[0, :, :20], tent[0, :, 21:] = 0.6, -0.6  # two walls that face each other, a gap of one column between
     tent[2] = 0.8
     inside = torch.ones(40, 41, dtype=torch.bool)
     inside[:, 20] = False
-    lights = torch.nn.functional.normalize(
-        torch.tensor([[0.5, 0, 1], [-0.5, 0.1, 1], [0.1, 0.5, 1], [0, -0.5, 1]]), dim=1
-    )
+    lights = F.normalize(torch.tensor([[0.5, 0, 1], [-0.5, 0.1, 1], [0.1, 0.5, 1], [0, -0.5, 1]]), dim=1)
     images = torch.einsum("kc,chw->khw", lights, tent).clamp_min(0)[:, None] * inside
     assert find_glow(images, lights, inside).share.abs().max() < 1e-6  # a wall and itself, rounded
     joined = torch.ones_like(inside)
@@ -95,9 +96,7 @@ def test_what_arrives_in_a_groove() -> None:
     normal = torch.zeros(3, length, 2 * width)
     normal[0, :, :width], normal[0, :, width:] = math.sqrt(0.5), -math.sqrt(0.5)
     normal[2] = math.sqrt(0.5)
-    lights = torch.nn.functional.normalize(
-        torch.tensor([[0.2, 0.0, 1], [-0.2, 0.1, 1], [0.0, 0.3, 1], [0.0, -0.2, 1]]), dim=1
-    )
+    lights = F.normalize(torch.tensor([[0.2, 0.0, 1], [-0.2, 0.1, 1], [0.0, 0.3, 1], [0.0, -0.2, 1]]), dim=1)
     images = torch.einsum("kc,chw->khw", lights, normal)[:, None]
     share = find_glow(images, lights, torch.ones(length, 2 * width, dtype=torch.bool)).share
     strip = (torch.arange(width) + 0.5).flip(0)  # along the slope, in any unit
@@ -107,3 +106,46 @@ def test_what_arrives_in_a_groove() -> None:
     wanted = factor * other / mean[:width]
     got = share[:, 0, 120:180, :width].mean(1)
     assert torch.allclose(got[:, :-4], wanted[:, :-4], rtol=0.05)  # the bottom is rounded
+
+
+def test_black_patches_of_signed_noise_receive_nothing_absurd() -> None:
+    """A dark frame taken away leaves means about 0; nothing is taken out of them, or of what is beside them."""
+    normal = torch.zeros(3, 80, 60)
+    normal[0, :, :30], normal[0, :, 30:] = math.sqrt(0.5), -math.sqrt(0.5)
+    normal[2] = math.sqrt(0.5)
+    lights = F.normalize(torch.tensor([[0.2, 0.0, 1], [-0.2, 0.1, 1], [0.0, 0.3, 1], [0.0, -0.2, 1]]), dim=1)
+    images = torch.einsum("kc,chw->khw", lights, normal)[:, None]
+    clean = images.clone()
+    images[:, :, 30:40, 10:20] = 1e-3 * torch.randn(4, 1, 10, 10, generator=torch.Generator().manual_seed(0))
+    inside = torch.ones(80, 60, dtype=torch.bool)
+    for factor, most in ((1, 10_000), (4, 400)):
+        with pytest.MonkeyPatch.context() as patched:
+            patched.setattr(interreflection, "MOST_PIXELS", most)
+            glow = find_glow(images, lights, inside)
+            usual = clean - find_glow(clean, lights, inside).removed_from(clean, 0)
+        assert glow.factor == factor
+        taken = (images - glow.removed_from(images, 0)).abs()
+        assert taken.max() < 1.1 * usual.max()
+        assert taken[:, :, 32:38, 12:18].max() < 0.01
+
+
+def test_sparse_masks_and_gaps_in_light_maps() -> None:
+    normal = torch.tensor([0.0, 0.0, 1.0]).reshape(3, 1, 1).expand(3, 80, 80)
+    lights = F.normalize(torch.tensor([[0.2, 0.0, 1], [-0.2, 0.1, 1], [0.0, 0.3, 1], [0.0, -0.2, 1]]), dim=1)
+    images = torch.einsum("kc,chw->khw", lights, normal)[:, None].contiguous()
+    inside = torch.zeros(80, 80, dtype=torch.bool)
+    inside[::4, ::4] = True
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(interreflection, "MOST_PIXELS", 50)
+        assert find_glow(images, lights, inside).share.max() == 0
+        inside[:40] = True
+        maps = torch.where(inside, lights[:, :, None, None], torch.nan)
+        assert find_glow(images, maps, inside).share.isfinite().all()
+
+
+def test_few_pixels_decide_nothing() -> None:
+    inside = torch.zeros(20, 20, dtype=torch.bool)
+    inside[5:9, 5:9] = True
+    glow, told = choose_glow(torch.ones(8, 1, 20, 20), torch.zeros(8, 3), inside, Material(), 0)
+    assert glow is None
+    assert "hardly" in told

@@ -17,10 +17,12 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from . import _robust_fit as robust_fit
+from ._robust_fit import PixelFit
 from .bands import gather, gather_directions, solve_bands
-from .bounce import form_factors
+from .bounce import arriving, form_factors
 from .integrate import integrate_normals
 from .material import Material, Rays
+from .roughness_map import at_levels
 from .selection import SAMPLE_PIXELS, error
 
 MOST_PIXELS = 15_000
@@ -39,6 +41,10 @@ NOTABLE = 0.03
 """Share of a pixel's light that must come from others, were they white, for it to lie in a hollow."""
 FEWEST = 100
 """Hollow pixels that can decide."""
+DARKEST = 0.01
+"""Share of the object's mean below which a pixel's own light is noise."""
+MOST_SHARE = 2.0
+"""Of a pixel's own light: more than all of it comes from others only if they are less white than reckoned."""
 GAIN = 0.005
 """Share of the misfit in hollows that must go."""
 
@@ -61,7 +67,7 @@ class Glow:
         """Rows ``first`` on of the photographs, (K, C, R, W), without that light."""
         rows, columns = (torch.arange(n, device=images.device) for n in images.shape[2:])
         places = self._places(rows[:, None] + first, columns)
-        mean = images.mean(0, dtype=self.share.dtype)
+        mean = images.mean(0, dtype=self.share.dtype).clamp_min(0)
         left = torch.empty_like(images)
         for k, image in enumerate(images):
             left[k] = image - (self.strength * _sampled(self.share[k : k + 1], places)[0] * mean).to(images)
@@ -71,7 +77,7 @@ class Glow:
         """That light at P pixels, (P, K), grey."""
         width = images.shape[3]
         places = self._places(picked // width, picked % width)
-        mean = images.flatten(2)[:, :, picked].to(self.share).mean(0)
+        mean = images.flatten(2)[:, :, picked].to(self.share).mean(0).clamp_min(0)
         return (self.strength * _sampled(self.share, places[None])[:, :, 0] * mean).mean(1).T
 
     def _places(self, rows: Tensor, columns: Tensor) -> Tensor:
@@ -90,29 +96,37 @@ def choose_glow(
     images: Tensor, lights: Tensor, inside: Tensor, material: Material, seed: int
 ) -> tuple[Glow | None, str]:
     """The light to take out of photographs, if that explains hollows better, and a sentence on it."""
-    glow = find_glow(images, lights, inside)
+    alone = None, "parts of the surface hardly light each other."
     place = inside.flatten().nonzero().flatten()
+    if len(place) < FEWEST:
+        return alone
+    glow = find_glow(images, lights, inside)
     generator = torch.Generator().manual_seed(seed)
     picked = place[torch.randperm(len(place), generator=generator)[:LOOKED_AT].to(place.device)]
     received, grey = glow.at(images, picked), gather(images, picked)
     share = received.mean(1) / robust_fit.mean_of(grey)[:, 0]
     hollow = (share > NOTABLE).nonzero().flatten()[:SAMPLE_PIXELS]
     if len(hollow) < FEWEST:
-        return None, "parts of the surface hardly light each other."
+        return alone
     received, grey = received[hollow], grey[hollow]
     rays = Rays.of(gather_directions(lights, picked[hollow]).to(grey))
     unit, weight = robust_fit.mean_of(grey), robust_fit.in_light(grey) * share[hollow, None]
-    material = replace(material, varied=False)
 
-    fitted = robust_fit.fit(grey, rays, Material(), used="middle", steps=8)
-    costs: dict[float, float] = {}
-    for strength in (0.0, *STRENGTHS):
+    def explain(strength: float, material: Material, start: PixelFit, steps: int) -> tuple[float, PixelFit]:
         left = grey - strength * received
-        fitted = robust_fit.fit(left, rays, material, start=fitted, steps=6 if costs else 12)
-        costs[strength] = error(left, robust_fit.predict(fitted, rays, material), unit, weight)
+        fitted = robust_fit.fit(left, rays, material, start=start, steps=steps)
+        return error(left, robust_fit.predict(fitted, rays, material), unit, weight), fitted
+
+    start = robust_fit.fit(grey, rays, Material(), used="middle", steps=8)
+    levels = at_levels(material) if material.varied else [material]
+    tried = [(*explain(0.0, level, start, 12), level) for level in levels]
+    least, fitted, material = min(tried, key=lambda found: found[0])
+    costs = {0.0: least}
+    for strength in STRENGTHS:
+        costs[strength], fitted = explain(strength, material, fitted, 6)
     best = min(costs, key=costs.__getitem__)
     listed = ", ".join(f"{strength:g} {cost:.4f}" for strength, cost in costs.items())
-    if costs[best] > (1 - GAIN) * costs[0.0]:
+    if costs[best] > (1 - GAIN) * least:
         return None, f"light between parts of the surface explains hollows no better (misfit by albedo: {listed})."
     return replace(glow, strength=best), (
         f"light that parts of the surface send each other is taken away, as of a surface whose brightest parts have "
@@ -127,40 +141,46 @@ def find_glow(images: Tensor, lights: Tensor, inside: Tensor) -> Glow:
         factor *= 2
     small, mask = _pooled(images, inside, factor)
     if lights.ndim == 4:
-        lights = F.normalize(F.avg_pool2d(lights, factor, ceil_mode=True), dim=1)
+        lights = F.normalize(F.avg_pool2d(torch.where(inside, lights, 0), factor, ceil_mode=True), dim=1)
     found = solve_bands(small, lights, mask, Material(), "middle")
-    points, part = _points(found["normal"], mask)
+    points, part = _points(found["normal"], mask), _parts(inside, factor)[mask]
     normal, seen, albedo = (m[..., mask].movedim(-1, 0) for m in (found["normal"], small, found["albedo"]))
     order = torch.randperm(len(points), generator=torch.Generator().manual_seed(0))[:PATCHES].to(points.device)
     area = len(points) / len(order) / normal[order, 2:].clamp_min(STEEPEST)
-    white = found["albedo_grey"][0, mask].quantile(0.95).clamp_min(1e-12)
-    share = torch.zeros_like(small)
-    arriving = []
+    white = albedo.amax(1).quantile(0.95).clamp_min(1e-12)
+    mean = seen.abs().mean(1)  # (P, C)
+    own = albedo / white / torch.maximum(mean, DARKEST * mean.mean())
+    received = []
     for rows in torch.arange(len(points), device=points.device).split(CHUNK):
         factors = form_factors(points[rows], normal[rows], points[order], normal[order], area)
         factors = factors * (part[rows, None] == part[order])
-        light = (factors @ seen[order].flatten(1)).reshape(-1, *seen.shape[1:])  # (p, K, C)
-        arriving.append(light * (albedo[rows] / white / seen[rows].mean(1).clamp_min(1e-12))[:, None])
-    share[..., mask] = torch.cat(arriving).movedim(0, -1)
+        received.append(arriving(factors, seen[order].clamp_min(0)) * own[rows, None])
+    share = torch.zeros_like(small)
+    share[..., mask] = torch.cat(received).clamp_max(MOST_SHARE).movedim(0, -1)
     return Glow(share, factor)
 
 
 def _pooled(images: Tensor, inside: Tensor, factor: int) -> tuple[Tensor, Tensor]:
-    """Photographs (K, C, h, w), float32 at least, and mask (h, w), so many times smaller."""
+    """Photographs (K, C, h, w) and mask (h, w), so many times smaller: means of what is inside, in float32."""
     weight = F.avg_pool2d(inside[None].float(), factor, ceil_mode=True, count_include_pad=False)
     small = [
         F.avg_pool2d(torch.where(inside, image, 0).to(weight), factor, ceil_mode=True, count_include_pad=False)
         / weight.clamp_min(1e-6)
         for image in images
     ]
-    return torch.stack(small), weight[0] >= 0.5
+    return torch.stack(small), weight[0] > 0
 
 
-def _points(normal: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
-    """Where the pixels lie, (P, 3) in pixels, and to which connected part they belong, (P,)."""
-    from scipy.ndimage import label
-
+def _points(normal: Tensor, mask: Tensor) -> Tensor:
+    """Where the pixels lie, (P, 3), in pixels."""
     height = integrate_normals(normal, mask[None])[0, mask].to(normal)
     row, column = mask.nonzero().unbind(1)
-    part = torch.from_numpy(label(mask.cpu().numpy())[0]).to(mask.device)[mask]
-    return torch.stack((column.to(height), -row.to(height), height), 1), part
+    return torch.stack((column.to(height), -row.to(height), height), 1)
+
+
+def _parts(inside: Tensor, factor: int) -> Tensor:
+    """Number of the connected part that every pixel of a smaller picture belongs to, (h, w)."""
+    from scipy.ndimage import label
+
+    parts = torch.from_numpy(label(inside.cpu().numpy())[0]).to(inside.device)
+    return F.max_pool2d(parts[None].float(), factor, ceil_mode=True)[0]

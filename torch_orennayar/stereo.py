@@ -60,7 +60,9 @@ def photometric_stereo(
     ``auto`` weighs four diffuse parts (Lambert; Lambert with Minnaert's falloff, as under glaze; ``vcavity`` with one
     roughness, and with a smooth map of it), each with no, one and two specular lobes, by their error on lights that
     were held out, and takes the simplest within 2 % of the best; a map must gain a tenth to be weighed at all. Where
-    hollows are explained better by it, light that parts of the surface send each other is taken away first.
+    hollows are explained better by it, light that parts of the surface send each other is taken away before normals are
+    solved (from 8 lights on); albedo and residual are then those of what is left. How white the surface is for that is
+    told by the hollows, whatever the images' exposure.
 
     Models with inter-reflection take albedo in the unit of the images (1 is white), cut to [0, 1]. Not
     differentiable. float64 is solved in float64, all else in float32. The same seed gives the same

@@ -134,7 +134,7 @@ class SyntheticCaptures(IterableDataset[dict[str, Tensor]]):
         mask, normal = seen.mask[0], seen.normal[0]
         inside = mask[0]
         lights = draw_lights(draw, 1, count)[0]
-        # One material; its grey albedo is painted over with a texture afterwards.
+        # One material; what is white in truth is the texture, the material's albedo only weighs matt against gloss.
         material = draw_material(draw, 1, mix)
         texture = _texture(draw, self.size)
         paint = texture[:, inside].T
@@ -144,7 +144,7 @@ class SyntheticCaptures(IterableDataset[dict[str, Tensor]]):
             shown, light = shown * reached, light * reached
         colours = paint[:, :, None] * shown[:, None]  # (P, 3, K)
         if mix.bounce:
-            sent = paint[:, :, None] * _bounced(draw, seen, paint, light)
+            sent = paint[:, :, None] * _bounced(draw, seen, paint * material.matt, light)
             colours = colours + material.albedo * material.matt * sent
         level = colours.mean().clamp_min(1e-6)
         colours = colours + draw.uniform(1, high=mix.ambient) * level

@@ -124,6 +124,7 @@ def draw_normals(draw: Draw, pixels: int) -> Tensor:
 
 def transmitted(cosine: Tensor, index: Tensor | float) -> Tensor:
     """What Fresnel's equations let through at a smooth interface, by the cosine outside and the refractive index."""
+    cosine = cosine.clamp_min(1e-6)
     inside = (1 - (1 - cosine * cosine) / index**2).sqrt()
     s = (cosine - index * inside) / (cosine + index * inside)
     p = (inside - index * cosine) / (inside + index * cosine)
