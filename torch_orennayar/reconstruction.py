@@ -23,7 +23,8 @@ class Reconstruction:
         albedo: (C, H, W) linear, in the unit of the images, 0 outside the mask.
         roughness: (1, H, W) radians, 0 for a Lambertian result and outside the mask; one number, or a smooth map where
             the photographs ask for it.
-        residual: (1, H, W) mean absolute difference of grey observation and model over all lights.
+        residual: (1, H, W) mean absolute difference of grey observation and model over all lights; light between parts
+            of the surface that was taken away (``report`` says so) is no longer in the observation.
         confidence: (1, H, W) in [0, 1]: ``1 / (1 + (e / 2 deg)**2)`` with e the standard error of the
             normal that the fit's curvature and residuals predict, where misfit that neighbours share counts
             as one observation; 0 outside the mask and where a pixel does not determine its normal.
