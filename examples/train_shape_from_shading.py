@@ -27,8 +27,8 @@ from torch_orennayar.surface_fit import inflate, normals
 from torch_orennayar.synthetic_pixels import Ingredients
 
 MATT = Ingredients(
-    rough=1.0, glazed=0.0, retro=0.0, falloff=0.0, glossy=0.0, metal=0.0, sheen=0.0, shadows=0, bounce=False, ambient=0.0,
-    light_error=0.0, intensity_error=0.0, noise=(0.01, 0.005), clipped=0.0, outliers=0.0, bits=(8.0, 12.0),
+    rough=1.0, glazed=0.0, retro=0.0, falloff=0.0, glossy=0.0, metal=0.0, sheen=0.0, shadows=0, bounce=False,
+    ambient=0.0, light_error=0.0, intensity_error=0.0, noise=(0.01, 0.005), clipped=0.0, outliers=0.0, bits=(8.0, 12.0),
 )  # fmt: skip
 BATCH, RATE, SMOOTH = 16, 2e-3, 0.02
 STEEPEST = 8.0
