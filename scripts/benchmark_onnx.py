@@ -4,8 +4,8 @@
 
 One picture of 512 and 1024 pixels squared, one light, grey albedo: torch eager and compiled, ONNX Runtime with 1 and 2
 threads, and, where Chromium, npm and Playwright are there, the page's WASM with 1 and with all threads. Medians;
-errors are against float64. Prints a table, writes onnx.json. With a
-capture, prints how long both `stereo` graphs take for it, and their angle to torch's normals.
+errors are against float64. Prints a table, writes onnx.json. With a capture, prints how long both `stereo` graphs take
+for it, and their angle to torch's normals.
 """
 
 from __future__ import annotations
@@ -75,6 +75,13 @@ def median(work: Callable[[], Any]) -> float:
     return statistics.median(times[WARM:])
 
 
+def opened_graph(path: Path, threads: int) -> onnxruntime.InferenceSession:
+    """A graph that runs on so many threads of the CPU."""
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = threads
+    return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+
+
 def in_python(model: str, side: int, graph: Path) -> dict[str, tuple[float, float]]:
     """Milliseconds and error by runner."""
     given = scene(side)
@@ -90,9 +97,7 @@ def in_python(model: str, side: int, graph: Path) -> dict[str, tuple[float, floa
             "torch compiled": row(lambda: compiled(given)),
         }
     for threads in (1, 2):
-        options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = threads
-        session = onnxruntime.InferenceSession(str(graph), options, providers=["CPUExecutionProvider"])
+        session = opened_graph(graph, threads)
         feeds = {k: v.numpy() for k, v in given.items()}
         rows[f"ONNX Runtime, {threads} thread{'s' * (threads > 1)}"] = row(
             lambda session=session, feeds=feeds: torch.from_numpy(session.run(None, feeds)[0])
@@ -137,8 +142,6 @@ def solve_capture(folder: Path) -> None:
     """Print seconds and largest angle to torch's normals of both `stereo` graphs on a capture, 2 threads."""
     capture = ton.load_capture(folder)
     images, lights, mask = capture.images.float(), capture.lights.float(), capture.mask
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = 2
     feeds = {"images": images.numpy(), "lights": lights.numpy(), "mask": mask.numpy()}
     wanted = {
         "vcavity": lambda: solve_closed_form(images, lights, mask, "vcavity")[0],
@@ -146,8 +149,7 @@ def solve_capture(folder: Path) -> None:
     }
     for model, solve in wanted.items():
         with tempfile.TemporaryDirectory() as kept:
-            graph = ton.export_onnx("stereo", Path(kept) / "stereo.onnx", model=model)
-            session = onnxruntime.InferenceSession(str(graph), options, providers=["CPUExecutionProvider"])
+            session = opened_graph(ton.export_onnx("stereo", Path(kept) / "stereo.onnx", model=model), 2)
         begun = time.perf_counter()
         found = torch.from_numpy(session.run(["normal"], feeds)[0])
         seconds = time.perf_counter() - begun

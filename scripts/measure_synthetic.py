@@ -55,6 +55,16 @@ def contact_sheet(path: Path) -> None:
     save_sheet(path, rows)
 
 
+def training_step(training: Any) -> float:
+    """Seconds of a step of training on this machine."""
+    samples = SyntheticCaptures("pixels", observations=training.options.observations)
+    training.run_step(samples, 0, 1)
+    begun = time.perf_counter()
+    for _ in range(5):
+        training.run_step(samples, 0, 1)
+    return (time.perf_counter() - begun) / 5
+
+
 def scaling() -> None:
     """Print what every process of the trainer does and sends in a step, as ring all-reduce does it."""
     trainer = load("train_photometric_stereo")
@@ -92,16 +102,6 @@ def main() -> None:
     contact_sheet(options.output / "captures.png")
     scaling()
     print(f"look at {options.output / 'captures.png'}")
-
-
-def training_step(training: Any) -> float:
-    """Seconds of a step of training on this machine."""
-    samples = SyntheticCaptures("pixels", observations=training.options.observations)
-    training.run_step(samples, 0, 1)
-    begun = time.perf_counter()
-    for _ in range(5):
-        training.run_step(samples, 0, 1)
-    return (time.perf_counter() - begun) / 5
 
 
 if __name__ == "__main__":

@@ -28,7 +28,7 @@ from torch_orennayar import (
     point_light,
     render_normals,
 )  # fmt: skip
-from torch_orennayar.bounce import bounced_light
+from torch_orennayar.bounce import SeenSurface, light_between
 from torch_orennayar.demo import make_object, spiral_lights
 from torch_orennayar.mesh import normalise_mesh
 from torch_orennayar.synthetic_pixels import transmitted
@@ -154,16 +154,13 @@ def hollow_capture(mesh: tuple[Tensor, Tensor], albedo: float, *, lights: int = 
     vertices, faces = mesh
     seen = render_normals(vertices, faces, Camera.orthographic(1.02), (size, size))
     directions, inside = spiral_lights(lights, math.radians(50)), seen.mask[0, 0]
-    normal = seen.normal[0][:, inside].T
-    irradiance = (normal @ directions.T).clamp_min(0)
+    surface = SeenSurface.of(seen)
+    irradiance = (surface.normal @ directions.T).clamp_min(0)
     irradiance = irradiance * cast_shadows(vertices, faces, seen, directions)[:, 0, inside].T
-    points = seen.camera.points(seen.depth.where(seen.mask, 1.0))[0][:, inside].T
-    area = (2 * 1.02 / size) ** 2 / normal[:, 2:].clamp_min(0.1)
     generator = torch.Generator().manual_seed(0)
-    order = torch.randperm(len(normal), generator=generator)
-    paint = torch.full((len(normal), 1), albedo)
-    found = bounced_light(*(part[order] for part in (points, normal, area, paint, irradiance)))
-    shown = 0.4 * albedo * (irradiance + found[order.argsort()][:, 0])
+    paint = torch.full((len(irradiance), 1), albedo)
+    found = light_between(surface, paint, irradiance, generator)[:, 0]
+    shown = 0.4 * albedo * (irradiance + found)
     shown = shown + NOISE * shown.amax() * torch.randn(shown.shape, generator=generator)
     images = torch.zeros(lights, 1, size, size)
     images[:, 0, inside] = shown.clamp_min(0).T

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import onnxruntime
 import pytest
+import rendered
 import torch
 from hypothesis import settings
 from torch import Tensor
@@ -26,6 +27,12 @@ def data() -> Path:
     if not place:
         pytest.skip("TORCH_ORENNAYAR_DATA is not set")
     return Path(place)
+
+
+@pytest.fixture(scope="session")
+def meshes() -> dict[str, tuple[Tensor, Tensor]]:
+    """The objects that captures are rendered of."""
+    return rendered.objects()
 
 
 class Scene:

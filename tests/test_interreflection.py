@@ -14,10 +14,15 @@ from torch_orennayar import angular_error, interreflection, photometric_stereo, 
 from torch_orennayar.interreflection import Glow, choose_glow, find_glow
 from torch_orennayar.material import Material
 
+LIGHTS = F.normalize(torch.tensor([[0.2, 0.0, 1], [-0.2, 0.1, 1], [0.0, 0.3, 1], [0.0, -0.2, 1]]), dim=1)
 
-@pytest.fixture(scope="module")
-def meshes() -> dict[str, tuple[Tensor, Tensor]]:
-    return rendered.objects()
+
+def groove(length: int, width: int) -> Tensor:
+    """Photographs (K, 1, length, 2 width) of two walls at right angles, white, nothing but the lights."""
+    normal = torch.zeros(3, length, 2 * width)
+    normal[0, :, :width], normal[0, :, width:] = math.sqrt(0.5), -math.sqrt(0.5)
+    normal[2] = math.sqrt(0.5)
+    return torch.einsum("kc,chw->khw", LIGHTS, normal)[:, None]
 
 
 @pytest.mark.parametrize("albedo", [0.2, 0.5, 0.8])
@@ -93,12 +98,8 @@ def test_what_arrives_in_a_groove() -> None:
     of two perpendicular strips of infinite length.
     """
     width, length = 24, 300
-    normal = torch.zeros(3, length, 2 * width)
-    normal[0, :, :width], normal[0, :, width:] = math.sqrt(0.5), -math.sqrt(0.5)
-    normal[2] = math.sqrt(0.5)
-    lights = F.normalize(torch.tensor([[0.2, 0.0, 1], [-0.2, 0.1, 1], [0.0, 0.3, 1], [0.0, -0.2, 1]]), dim=1)
-    images = torch.einsum("kc,chw->khw", lights, normal)[:, None]
-    share = find_glow(images, lights, torch.ones(length, 2 * width, dtype=torch.bool)).share
+    images = groove(length, width)
+    share = find_glow(images, LIGHTS, torch.ones(length, 2 * width, dtype=torch.bool)).share
     strip = (torch.arange(width) + 0.5).flip(0)  # along the slope, in any unit
     factor = (1 - strip / (strip.square() + width**2).sqrt()) / 2
     mean = images[:, 0, 150].mean(0)
@@ -110,19 +111,15 @@ def test_what_arrives_in_a_groove() -> None:
 
 def test_black_patches_of_signed_noise_receive_nothing_absurd() -> None:
     """A dark frame taken away leaves means about 0; nothing is taken out of them, or of what is beside them."""
-    normal = torch.zeros(3, 80, 60)
-    normal[0, :, :30], normal[0, :, 30:] = math.sqrt(0.5), -math.sqrt(0.5)
-    normal[2] = math.sqrt(0.5)
-    lights = F.normalize(torch.tensor([[0.2, 0.0, 1], [-0.2, 0.1, 1], [0.0, 0.3, 1], [0.0, -0.2, 1]]), dim=1)
-    images = torch.einsum("kc,chw->khw", lights, normal)[:, None]
+    images = groove(80, 30)
     clean = images.clone()
     images[:, :, 30:40, 10:20] = 1e-3 * torch.randn(4, 1, 10, 10, generator=torch.Generator().manual_seed(0))
     inside = torch.ones(80, 60, dtype=torch.bool)
     for factor, most in ((1, 10_000), (4, 400)):
         with pytest.MonkeyPatch.context() as patched:
             patched.setattr(interreflection, "MOST_PIXELS", most)
-            glow = find_glow(images, lights, inside)
-            usual = clean - find_glow(clean, lights, inside).removed_from(clean, 0)
+            glow = find_glow(images, LIGHTS, inside)
+            usual = clean - find_glow(clean, LIGHTS, inside).removed_from(clean, 0)
         assert glow.factor == factor
         taken = (images - glow.removed_from(images, 0)).abs()
         assert taken.max() < 1.1 * usual.max()
@@ -130,16 +127,14 @@ def test_black_patches_of_signed_noise_receive_nothing_absurd() -> None:
 
 
 def test_sparse_masks_and_gaps_in_light_maps() -> None:
-    normal = torch.tensor([0.0, 0.0, 1.0]).reshape(3, 1, 1).expand(3, 80, 80)
-    lights = F.normalize(torch.tensor([[0.2, 0.0, 1], [-0.2, 0.1, 1], [0.0, 0.3, 1], [0.0, -0.2, 1]]), dim=1)
-    images = torch.einsum("kc,chw->khw", lights, normal)[:, None].contiguous()
+    images = LIGHTS[:, 2:, None, None].expand(-1, -1, 80, 80).contiguous()
     inside = torch.zeros(80, 80, dtype=torch.bool)
     inside[::4, ::4] = True
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(interreflection, "MOST_PIXELS", 50)
-        assert find_glow(images, lights, inside).share.max() == 0
+        assert find_glow(images, LIGHTS, inside).share.max() == 0
         inside[:40] = True
-        maps = torch.where(inside, lights[:, :, None, None], torch.nan)
+        maps = torch.where(inside, LIGHTS[:, :, None, None], torch.nan)
         assert find_glow(images, maps, inside).share.isfinite().all()
 
 

@@ -109,10 +109,10 @@ def test_same_seed_same_result(rough: Scene) -> None:
 
 @pytest.mark.parametrize("model", ["auto", "lambert"])
 def test_bands_leave_no_seam(
-    balls: dict[str, tuple[Tensor, Tensor]], model: str, monkeypatch: pytest.MonkeyPatch
+    meshes: dict[str, tuple[Tensor, Tensor]], model: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A large capture is solved in bands of rows: the same result as at once."""
-    scene = rendered.capture(balls["balls"], rendered.Surface("lambert", 0, 0.6, ((0.4, 0.2),)), lights=24, size=80)
+    scene = rendered.capture(meshes["balls"], rendered.Surface("lambert", 0, 0.6, ((0.4, 0.2),)), lights=24, size=80)
     at_once = photometric_stereo(scene.images, scene.lights, scene.mask, model=model)
     monkeypatch.setattr(bands, "BAND", 1)
     assert bands.band_height(24, scene.mask[0]) < scene.mask.shape[1]
@@ -281,19 +281,14 @@ def test_least_squares_on_real_objects(data: Path, name: str, wanted: float) -> 
     assert error.nanmean().item() == pytest.approx(wanted, abs=0.01)
 
 
-@pytest.fixture(scope="module")
-def balls() -> dict[str, tuple[Tensor, Tensor]]:
-    return rendered.objects()
-
-
 @pytest.mark.parametrize(("name", "model", "degrees"), [
     ("bumps", "vcavity", 10), ("bumps", "vcavity", 50), ("balls", "vcavity", 30), ("ring", "vcavity", 20),
     ("balls", "theory", 35),
 ])  # fmt: skip
-def test_rough_renders_are_told(balls: dict[str, tuple[Tensor, Tensor]], name: str, model: str, degrees: int) -> None:
+def test_rough_renders_are_told(meshes: dict[str, tuple[Tensor, Tensor]], name: str, model: str, degrees: int) -> None:
     """Shadows and 1 % noise; `theory` is not what is fitted."""
     size, lights = (64, 24) if model == "vcavity" else (32, 16)
-    scene = rendered.capture(balls[name], rendered.Surface(model, degrees, 0.6), lights=lights, size=size)
+    scene = rendered.capture(meshes[name], rendered.Surface(model, degrees, 0.6), lights=lights, size=size)
     found = photometric_stereo(scene.images, scene.lights, scene.mask)
     assert found.model == "vcavity"
     assert found.exponents == ()
@@ -303,9 +298,9 @@ def test_rough_renders_are_told(balls: dict[str, tuple[Tensor, Tensor]], name: s
 
 @pytest.mark.parametrize("highlights", [(), ((0.2, 0.1),), ((0.35, 0.2),)])
 def test_smooth_renders_are_not_rough(
-    balls: dict[str, tuple[Tensor, Tensor]], highlights: tuple[tuple[float, float], ...]
+    meshes: dict[str, tuple[Tensor, Tensor]], highlights: tuple[tuple[float, float], ...]
 ) -> None:
-    scene = rendered.capture(balls["balls"], rendered.Surface("lambert", 0, 0.6, highlights), lights=24, size=64)
+    scene = rendered.capture(meshes["balls"], rendered.Surface("lambert", 0, 0.6, highlights), lights=24, size=64)
     found = photometric_stereo(scene.images, scene.lights, scene.mask)
     assert found.model == "lambert"
     assert bool(found.exponents) == bool(highlights)
@@ -313,9 +308,9 @@ def test_smooth_renders_are_not_rough(
     assert mean_error(found, scene) < 0.5 * mean_error(plain, scene)
 
 
-def test_glaze_is_told(balls: dict[str, tuple[Tensor, Tensor]]) -> None:
+def test_glaze_is_told(meshes: dict[str, tuple[Tensor, Tensor]]) -> None:
     """An interface that turns grazing light away: Minnaert's law is near it, and takes a third off the error."""
-    scene = rendered.capture(balls["bumps"], rendered.Surface("glazed", 0, 0.6), lights=32, size=64)
+    scene = rendered.capture(meshes["bumps"], rendered.Surface("glazed", 0, 0.6), lights=32, size=64)
     found = photometric_stereo(scene.images, scene.lights, scene.mask)
     assert found.model == "lambert"
     assert isinstance(found.falloff, float)
@@ -325,16 +320,16 @@ def test_glaze_is_told(balls: dict[str, tuple[Tensor, Tensor]]) -> None:
 
 
 @pytest.mark.xfail(strict=True, reason="the bar set before measuring; Minnaert's law takes off a third")
-def test_glaze_halves_lamberts_error(balls: dict[str, tuple[Tensor, Tensor]]) -> None:
-    scene = rendered.capture(balls["bumps"], rendered.Surface("glazed", 0, 0.6), lights=32, size=64)
+def test_glaze_halves_lamberts_error(meshes: dict[str, tuple[Tensor, Tensor]]) -> None:
+    scene = rendered.capture(meshes["bumps"], rendered.Surface("glazed", 0, 0.6), lights=32, size=64)
     found = photometric_stereo(scene.images, scene.lights, scene.mask)
     lambert = photometric_stereo(scene.images, scene.lights, scene.mask, model="lambert")
     assert mean_error(found, scene) < 0.5 * mean_error(lambert, scene)
 
 
-def test_relighting_predicts_a_photograph(balls: dict[str, tuple[Tensor, Tensor]]) -> None:
+def test_relighting_predicts_a_photograph(meshes: dict[str, tuple[Tensor, Tensor]]) -> None:
     """A coloured glossy thing of the family that is fitted: images under lights that the solver has not seen."""
-    scene = rendered.capture(balls["balls"], rendered.Surface("lambert", 0, 0.5, ((0.3, 0.3),)), lights=40, size=64)
+    scene = rendered.capture(meshes["balls"], rendered.Surface("lambert", 0, 0.5, ((0.3, 0.3),)), lights=40, size=64)
     tint = torch.tensor((1.0, 0.7, 0.4)).reshape(3, 1, 1)
     thing = photometric_stereo(scene.images * tint, scene.lights, scene.mask)
     images = thing.shade(scene.lights)
@@ -353,8 +348,8 @@ def test_relighting_is_what_the_solver_saw(rough: Scene) -> None:
     assert torch.allclose(difference[rough.mask], found.residual[rough.mask], atol=2e-3)
 
 
-def test_lobes_of_a_batch_are_padded(smooth: Scene, balls: dict[str, tuple[Tensor, Tensor]]) -> None:
-    shiny = rendered.capture(balls["balls"], rendered.Surface("lambert", 0, 0.6, ((0.2, 0.2),)), lights=24, size=64)
+def test_lobes_of_a_batch_are_padded(smooth: Scene, meshes: dict[str, tuple[Tensor, Tensor]]) -> None:
+    shiny = rendered.capture(meshes["balls"], rendered.Surface("lambert", 0, 0.6, ((0.2, 0.2),)), lights=24, size=64)
     images = torch.stack((smooth.images, shiny.images.expand(-1, 3, -1, -1)))
     both = photometric_stereo(
         images, torch.stack((smooth.lights, shiny.lights)), torch.stack((smooth.mask, shiny.mask))
@@ -434,8 +429,8 @@ def test_saturated_pixels(smooth: Scene) -> None:
     assert mean_error(found, smooth) < mean_error(plain, smooth)
 
 
-def test_curved_images_taken_as_linear_are_suspected(balls: dict[str, tuple[Tensor, Tensor]]) -> None:
+def test_curved_images_taken_as_linear_are_suspected(meshes: dict[str, tuple[Tensor, Tensor]]) -> None:
     """The other mistake: linear images that went through the sRGB curve's inverse once more."""
-    scene = rendered.capture(balls["balls"], rendered.Surface("lambert", 0, 0.6), lights=24, size=64)
+    scene = rendered.capture(meshes["balls"], rendered.Surface("lambert", 0, 0.6), lights=24, size=64)
     found = photometric_stereo(srgb_to_linear(scene.images), scene.lights, scene.mask)
     assert any("check the encoding" in line for line in found.report)

@@ -136,8 +136,8 @@ def choose_glow(
 
 def find_glow(images: Tensor, lights: Tensor, inside: Tensor) -> Glow:
     """What every pixel of photographs (K, C, H, W) receives from the others, if the brightest are white."""
-    factor = 1
-    while int(inside.sum()) > MOST_PIXELS * factor * factor:
+    factor, pixels = 1, int(inside.sum())
+    while pixels > MOST_PIXELS * factor * factor:
         factor *= 2
     small, mask = _pooled(images, inside, factor)
     if lights.ndim == 4:

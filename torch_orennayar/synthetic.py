@@ -11,11 +11,11 @@ import torch.nn.functional as F
 from torch import Tensor
 from torch.utils.data import IterableDataset, get_worker_info
 
-from .bounce import bounced_light
+from .bounce import SeenSurface, light_between
 from .camera import Camera
 from .errors import RangeError
 from .mesh import normalise_mesh
-from .render import NormalMap, render_normals
+from .render import render_normals
 from .shadow import cast_shadows
 from .synthetic_pixels import (
     Draw,
@@ -138,13 +138,14 @@ class SyntheticCaptures(IterableDataset[dict[str, Tensor]]):
         material = draw_material(draw, 1, mix)
         texture = _texture(draw, self.size)
         paint = texture[:, inside].T
-        shown, light = _shade(seen, lights, material)
+        surface = SeenSurface.of(seen)
+        shown, light = _shade(surface, lights, material)
         if mix.shadows:
             reached = cast_shadows(vertices, faces, seen, lights, resolution=4 * max(self.size))[:, 0, inside].T
             shown, light = shown * reached, light * reached
         colours = paint[:, :, None] * shown[:, None]  # (P, 3, K)
         if mix.bounce:
-            sent = paint[:, :, None] * _bounced(draw, seen, paint * material.matt, light)
+            sent = paint[:, :, None] * light_between(surface, paint * material.matt, light, draw.generator)
             colours = colours + material.albedo * material.matt * sent
         level = colours.mean().clamp_min(1e-6)
         colours = colours + draw.uniform(1, high=mix.ambient) * level
@@ -173,28 +174,12 @@ class SyntheticCaptures(IterableDataset[dict[str, Tensor]]):
         return vertices / vertices.norm(dim=1).amax().clamp_min(1e-9), faces
 
 
-def _shade(seen: NormalMap, lights: Tensor, material: Materials) -> tuple[Tensor, Tensor]:
-    """What the P pixels of a view show and what falls on them, (P, K) each, nothing in the way of the lights."""
-    inside = seen.mask[0, 0]
-    normal = seen.normal[0][:, inside].T
-    view = seen.camera.view_directions((inside.shape[0], inside.shape[1]))[0].expand(3, *inside.shape)[:, inside].T
-    ci, co = normal @ lights.T, (normal * view).sum(1, keepdim=True)
+def _shade(surface: SeenSurface, lights: Tensor, material: Materials) -> tuple[Tensor, Tensor]:
+    """What P pixels show and what falls on them, (P, K) each, nothing in the way of the lights."""
+    ci, co = surface.normal @ lights.T, (surface.normal * surface.view).sum(1, keepdim=True)
     light = ci.clamp_min(0)
-    value = material.reflect(ci.clamp_min(1e-3), co.clamp_min(0.05).expand_as(ci), view @ lights.T)
+    value = material.reflect(ci.clamp_min(1e-3), co.clamp_min(0.05).expand_as(ci), surface.view @ lights.T)
     return value * light * (co > 0), light
-
-
-def _bounced(draw: Draw, seen: NormalMap, paint: Tensor, light: Tensor) -> Tensor:
-    """What else falls on them, (P, 3, K): light (P, K) that others of colours (P, 3) send on."""
-    inside, camera = seen.mask[0, 0], seen.camera
-    normal = seen.normal[0][:, inside].T
-    points = camera.points(seen.depth.where(seen.mask, 1.0))[0][:, inside].T
-    view = camera.view_directions((inside.shape[0], inside.shape[1]))[0].expand(3, *inside.shape)[:, inside].T
-    pixel = 2 / (inside.shape[0] * camera.focal[0, 1]) * (points[:, 2:] if camera.is_perspective else 1)
-    area = pixel**2 / (normal * view).sum(1, keepdim=True).clamp_min(0.1)
-    order = torch.randperm(len(points), generator=draw.generator, device=points.device)
-    found = bounced_light(*(part[order] for part in (points, normal, area, paint, light)))
-    return found[order.argsort()]
 
 
 def _camera(draw: Draw) -> Camera:

@@ -21,8 +21,8 @@ class Ingredients:
     """What synthetic captures are made of; every share is a probability.
 
     Shares of matt parts and strengths of highlights lean to what was fitted to 151 measured materials
-    (`scripts/rendered.py`): two thirds are matt under a glaze, a quarter is rough, and the broad highlight of most is
-    as bright as the matt part.
+    (`scripts/rendered.py`): two thirds are matt under a glaze, a quarter is rough, and the broad highlight of many is
+    nearly as bright as the matt part.
 
     Attributes:
         roughest: largest roughness of Oren-Nayar surfaces, radians.
