@@ -5,8 +5,9 @@
 Made pictures: five surfaces and the meshes of FOLDER/meshes (`height_fields.py`), shaded by the theory, not by the
 models that are fitted, with 1 % noise. Real ones, where FOLDER (default: $TORCH_ORENNAYAR_DATA) holds them: single
 pictures of DiLiGenT's objects, UW's grey ball, MIT-Berkeley objects, each under lights that are known or, for
-MIT-Berkeley, estimated from the truth. Beside every result stand a plane, the inflated silhouette, Lambert's and the
-classic form by the same solver. Prints tables, writes shape.json, a speed-accuracy chart and a map of failures (light x
+MIT-Berkeley, estimated from the truth together with the ambient light. Beside every result stand a plane, the inflated
+silhouette, Lambert's and the classic form by the same solver, and "vcavity, ambient found", which is told nothing of
+ambient light. Prints tables, writes shape.json, a speed-accuracy chart and a map of failures (light x
 roughness).
 """
 
@@ -24,16 +25,26 @@ from typing import Any
 import height_fields
 import numpy as np
 import scipy.io
+import scipy.optimize
 import torch
-import torch.nn.functional as F
 from height_fields import light_at, photograph
 from torch import Tensor
 
-from torch_orennayar import angular_error, depth_to_normals, load_capture, shape_from_shading, surface_fit
+from torch_orennayar import (
+    angular_error,
+    depth_to_normals,
+    load_capture,
+    photometric_stereo,
+    shape_from_shading,
+    surface_fit,
+)
 from torch_orennayar.images import read_image
 from torch_orennayar.progress import track
 
-METHODS = ("plane", "inflated", "lambert alone", "classic alone", "vcavity alone", "lambert", "classic", "vcavity")
+METHODS = (
+    *("plane", "inflated", "lambert alone", "classic alone", "vcavity alone", "lambert", "classic", "vcavity"),
+    "vcavity, ambient found",
+)
 """Solvers called alone believe the picture whatever happens; the others fall back on the silhouette."""
 ALBEDO = 0.8
 
@@ -50,6 +61,7 @@ class Case:
     roughness: float
     albedo: float | None
     contour: bool = True
+    ambient: float = 0.0
 
 
 def solve(case: Case, method: str) -> Tensor:
@@ -59,11 +71,12 @@ def solve(case: Case, method: str) -> Tensor:
         return torch.tensor((0.0, 0.0, 1.0)).reshape(3, 1, 1) * mask
     if method == "inflated":
         return surface_fit.normals(surface_fit.inflate(mask), None, 1.0) * mask
-    name, _, alone = method.partition(" ")
+    name = method.split()[0].rstrip(",")
     model = {"classic": "qualitative"}.get(name, name)
     found = shape_from_shading(
         case.image, case.light, case.mask, albedo=case.albedo, roughness=case.roughness, model=model,
-        contour=case.contour, silhouette=0.0 if alone else 0.1,
+        ambient=None if method.endswith("found") else case.ambient, contour=case.contour,
+        silhouette=0.0 if method.endswith("alone") else 0.1,
     )  # fmt: skip
     return found.normal
 
@@ -96,7 +109,7 @@ def made(size: int, quick: bool, meshes: Path) -> list[Case]:
 
 
 def real(data: Path, step: int) -> list[Case]:
-    """Single photographs, every ``step``-th pixel; albedo is estimated, roughness 0, the grey ball's paint 20."""
+    """Single photographs, every ``step``-th pixel; albedo is estimated, roughness 0, the grey ball's measured."""
     cases = []
     for name in ("ball", "cat", "reading"):
         capture = load_capture(data / "diligent" / f"{name}PNG")
@@ -113,7 +126,8 @@ def real(data: Path, step: int) -> list[Case]:
     normal = torch.stack((x, y, (1 - x * x - y * y).clamp_min(0).sqrt())) * inside
     index = int((torch.rad2deg(capture.lights[:, 2].acos()) - 30).abs().argmin())
     image = capture.images[index].mean(0, keepdim=True)
-    cases.append(Case("UW grey ball", image, capture.lights[index], inside, normal, math.radians(20), None))
+    roughness = float(photometric_stereo(capture.images, capture.lights, inside, seed=0).roughness[inside].median())
+    cases.append(Case("UW grey ball", image, capture.lights[index], inside, normal, roughness, None))
     folders = [folder for folder in sorted((data / "sfs_mit_berkeley").iterdir()) if folder.is_dir()]
     cases += [mit(folder) for folder in folders]
     maps = ("image", "mask", "normal")
@@ -121,7 +135,7 @@ def real(data: Path, step: int) -> list[Case]:
 
 
 def mit(folder: Path) -> Case:
-    """One MIT-Berkeley object: the light that explains its first picture of even albedo best as a Lambertian one."""
+    """One MIT-Berkeley object: the light and ambient light that explain its picture of even albedo best by Lambert."""
     depth = torch.from_numpy(scipy.io.loadmat(folder / "Z.mat")["depth"]).double()[None]
     mask = torch.from_numpy(read_image(folder / "mask.png") > 0)
     mask = (mask if mask.ndim == 2 else mask[..., 0])[None] & depth.isfinite()
@@ -129,8 +143,12 @@ def mit(folder: Path) -> Case:
     mask &= (normal != 0).any(0, keepdim=True)
     pixels = read_image(folder / "shading.png").astype(np.float64)
     image = torch.from_numpy(pixels / pixels.max()).reshape(*mask.shape[1:], -1).mean(-1)[None].float()
-    light = torch.linalg.lstsq(normal[:, mask[0]].T, image[mask].double()).solution
-    return Case(f"MIT-Berkeley {folder.name}", image, F.normalize(light, dim=0).float(), mask, normal, 0.0, None)
+    seen, brightness = normal[:, mask[0]].numpy(), image[mask].double().numpy()
+    start = np.append(np.linalg.lstsq(seen.T, brightness, rcond=None)[0], 0.05)
+    light = scipy.optimize.least_squares(lambda x: np.maximum(x[:3] @ seen, 0) + max(x[3], 0) - brightness, start).x
+    strength = float(np.linalg.norm(light[:3]))
+    direction, ambient = torch.from_numpy(light[:3] / strength).float(), max(float(light[3]) / strength, 0.0)
+    return Case(f"MIT-Berkeley {folder.name}", image, direction, mask, normal, 0.0, None, ambient=ambient)
 
 
 def failures(size: int, quick: bool) -> dict[str, dict[str, float]]:
@@ -148,9 +166,22 @@ def failures(size: int, quick: bool) -> dict[str, dict[str, float]]:
     return cells
 
 
+def under_ambient(size: int) -> dict[str, dict[str, float]]:
+    """Error of `vcavity` with a tenth of the light from all around, which is ignored, told or found."""
+    field, light, sigma = height_fields.make("bumpy ellipsoid", size), light_at(30), math.radians(30)
+    image = photograph(field, light, sigma, albedo=ALBEDO) + 0.1 * ALBEDO * field.mask
+    case = Case("", image, light, field.mask, field.normal, sigma, ALBEDO, ambient=0.1)
+    cases = {"ignored": replace(case, ambient=0.0), "told": case, "found": case}
+    rows = {}
+    for name, each in cases.items():
+        found = solve(each, "vcavity, ambient found" if name == "found" else "vcavity alone")
+        rows[name] = angular_error(found, field.normal.float(), field.mask).summary()
+    return rows
+
+
 def show(results: dict[str, dict[str, dict[str, float]]]) -> None:
     """Median / mean error by case and method, and means over cases."""
-    print(f"{'median / mean error, degrees':34}" + "".join(f"{m:>15}" for m in METHODS))
+    print(f"{'median / mean error, degrees':34}" + "".join(f"{m[-14:]:>15}" for m in METHODS))
     for name, rows in results.items():
         print(f"{name:34}" + "".join(f"{rows[m]['median']:8.2f}/{rows[m]['mean']:6.2f}" for m in METHODS))
     means = {
@@ -226,6 +257,9 @@ def main() -> None:
     document["by steps"] = by_steps(size)
     listed = "; ".join(f"{k}: {v['median']:.2f} in {v['seconds']:.1f} s" for k, v in document["by steps"].items())
     print(f"vcavity, median error by steps per level: {listed}")
+    document["ambient"] = under_ambient(size)
+    listed = "; ".join(f"{k}: {v['median']:.2f} / {v['mean']:.2f}" for k, v in document["ambient"].items())
+    print(f"vcavity under ambient light of 0.1, median / mean error: {listed}")
     document["failures"] = failures(128, options.quick)
     for kind, cells in document["failures"].items():
         print(f"median error, {kind}: " + "; ".join(f"{k}: {v:.1f}" for k, v in cells.items()))

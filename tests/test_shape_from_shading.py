@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import height_fields
 import pytest
@@ -179,6 +180,28 @@ def test_albedo_map(bumpy: Field) -> None:
     assert errors(told, bumpy)["median"] < 0.4 * errors(untold, bumpy)["median"]
 
 
+def test_ambient_light(bumpy: Field) -> None:
+    """A tenth of the light from all around: told or found it does little harm, ignored it is read as shape."""
+    image = photograph(bumpy, LIGHT, 0.5) + 0.8 * 0.1 * bumpy.mask
+    told, found, ignored = (
+        shape_from_shading(image, LIGHT, bumpy.mask, albedo=0.8, roughness=0.5, ambient=ambient, silhouette=0)
+        for ambient in (0.1, None, 0.0)
+    )
+    assert errors(told, bumpy)["median"] < 2.2
+    assert errors(found, bumpy)["median"] < 0.6 * errors(ignored, bumpy)["median"]
+    (line,) = [line for line in found.report if line.startswith("ambient light")]
+    assert abs(float(line.split()[2]) - 0.1) < 0.03
+
+
+def test_ambient_map(bumpy: Field) -> None:
+    """More on one side: a map, also in a batch, and whatever is outside the mask."""
+    ambient = torch.linspace(0, 0.2, SIZE).expand(1, SIZE, SIZE)
+    image = photograph(bumpy, LIGHT, 0.5) + 0.8 * ambient
+    batch = (t[None] for t in (image, LIGHT, bumpy.mask))
+    found = shape_from_shading(*batch, albedo=0.8, roughness=0.5, ambient=ambient[None])
+    assert errors(replace(found, normal=found.normal[0]), bumpy)["median"] < 2.2
+
+
 def ball(camera: Camera) -> tuple[Field, Tensor]:
     """A unit ball 4 away, and its depth."""
     ray = camera.rays((SIZE, SIZE))[0].double()
@@ -227,6 +250,9 @@ def test_tiny_images(size: tuple[int, int]) -> None:
         ({"mask": torch.zeros(1, 4, 4, dtype=torch.bool)}, CaptureError, "mask"),
         ({"mask": torch.ones(1, 4, 4)}, ShapeError, "mask"),
         ({"roughness": 30.0}, RangeError, "roughness"),
+        ({"ambient": -0.1}, RangeError, "ambient"),
+        ({"ambient": torch.rand(4, 4)}, ShapeError, "ambient"),
+        ({"albedo": torch.rand(2, 4, 4)}, ShapeError, "albedo"),
         ({"depth": torch.full((1, 4, 4), torch.nan)}, RangeError, "depth"),
     ],
 )

@@ -222,6 +222,9 @@ def shape(
         float | None, typer.Option(help="Roughness in degrees, 0 to 90; default: estimated.", min=0, max=90)
     ] = None,
     albedo: Annotated[float | None, typer.Option(help="Albedo; default: estimated.", min=0)] = None,
+    ambient: Annotated[
+        float | None, typer.Option(help="Light from all around as a share of the light; default: estimated.", min=0)
+    ] = None,
     mask: MaskFile = None,
     model: ModelOrAuto = "auto",
     contour: Annotated[
@@ -244,6 +247,7 @@ def shape(
         loaded.mask,
         albedo=albedo,
         roughness=None if roughness is None else math.radians(roughness),
+        ambient=ambient,
         model=model,
         contour=contour and mask is not None,
     )

@@ -24,8 +24,8 @@ FRONTAL = math.radians(10)
 """A light nearer to the view than this shows a dent and a bump alike."""
 ALIKE = 1.25
 """Two surfaces whose costs differ by less than this factor explain the picture equally well."""
-START_ROUGHNESS = math.radians(25)
-"""Where the search for an unknown roughness begins."""
+START_ROUGHNESS, START_AMBIENT = math.radians(25), 0.01
+"""Where the search for an unknown roughness and for unknown ambient light begins."""
 DARK = 0.05
 """Share of the picture's bright end below which a pixel counts as shadow."""
 NEAR_ENOUGH = 0.01
@@ -42,6 +42,7 @@ def shape_from_shading(
     *,
     albedo: float | Tensor | None = 1.0,
     roughness: float | Tensor | None = 0.0,
+    ambient: float | Tensor | None = 0.0,
     model: str = "auto",
     contour: bool = True,
     camera: Camera | None = None,
@@ -60,9 +61,9 @@ def shape_from_shading(
     (``silhouette``). It starts from the inflated silhouette; without a contour from a plane, and then the mean normal
     is drawn to the view; from ``depth`` it starts at full size.
 
-    What one picture does not tell is reported, not hidden: a light near the view shows dents and bumps alike, albedo
-    and roughness trade against slope and each other when they are estimated, and without a contour or known depths
-    nothing says which way a symmetric surface bulges. Not differentiable.
+    What one picture does not tell is reported, not hidden: a light near the view shows dents and bumps alike; albedo,
+    roughness and ambient light trade against slope and each other when they are estimated; without a contour or known
+    depths nothing says which way a symmetric surface bulges. Not differentiable.
 
     Args:
         image: (C, H, W) or (B, C, H, W) linear light, divided by the light's irradiance.
@@ -70,6 +71,9 @@ def shape_from_shading(
         mask: (1, H, W) or (B, 1, H, W) bool; default all pixels.
         albedo: number or map (1 or C, H, W), with B in front for batches; None to estimate one number.
         roughness: radians, number or map (1, H, W), with B in front for batches; None to estimate one number.
+        ambient: light from all around, as a share of the light's irradiance: number or map (1, H, W), with B in front
+            for batches; None to estimate one number, up to 0.3. It is shaded as by a matt surface. A photograph with
+            the light off, subtracted, is better than either.
         model: a name in ``MODELS``, or ``"auto"``: the simplest that is near enough to the theory for this albedo and
             roughness (`simplest_model`); the report says why.
         contour: whether the mask's edge is an occluding contour.
@@ -115,7 +119,15 @@ def shape_from_shading(
     if image.ndim == 4:
         return _solve_batch(
             image,
-            {"light": light, "mask": mask, "albedo": albedo, "roughness": roughness, "depth": depth, "known": known},
+            {
+                "light": light,
+                "mask": mask,
+                "albedo": albedo,
+                "roughness": roughness,
+                "ambient": ambient,
+                "depth": depth,
+                "known": known,
+            },
             {
                 "model": model,
                 "contour": contour,
@@ -125,12 +137,12 @@ def shape_from_shading(
             },
         )
     inside = _check(image, light, mask, {"depth": depth, "known": known})
-    scene = _scene(image, light, inside, albedo, roughness, known, camera)
+    scene = _scene(image, light, inside, albedo, roughness, ambient, known, camera)
     reasons = []
     if model == "auto":
         model = _simplest(scene, albedo is None, roughness is None)
         reasons.append(model.reason)
-    wish = Wish(str(model), contour, smoothness, silhouette, albedo is None, roughness is None)
+    wish = Wish(str(model), contour, smoothness, silhouette, albedo is None, roughness is None, ambient is None)
     height = _start(scene, depth, camera, contour)
     if contour and depth is None:
         scene = replace(scene, likely=surface_fit.normals(height, None, 1.0))
@@ -138,6 +150,7 @@ def shape_from_shading(
         height,
         _logit(scene.albedo.mean() / (surface_fit.WHITEST * scene.unit)),
         _logit(scene.roughness.mean() / surface_fit.ROUGHEST),
+        _logit(scene.ambient.mean() / surface_fit.STRONGEST_AMBIENT),
     )
     start, report = _choose_side(scene, start, wish, sure=depth is not None or not contour)
     report = [*reasons, *_say_light(scene), *report]
@@ -151,6 +164,7 @@ def _scene(
     inside: Tensor,
     albedo: float | Tensor | None,
     roughness: float | Tensor | None,
+    ambient: float | Tensor | None,
     known: Tensor | None,
     camera: Camera | None,
 ) -> Scene:
@@ -162,14 +176,21 @@ def _scene(
     if unit <= 0:
         raise CaptureError("image", expected="light inside the mask", got="none", mend="check exposure and mask")
 
-    def chart(value: float | Tensor | None, instead: float) -> Tensor:
+    def chart(name: str, value: float | Tensor | None, instead: float, channels: int = 1) -> Tensor:
         tensor = torch.as_tensor(instead if value is None else value).to(values)
-        return tensor.reshape(1, 1, 1) if tensor.ndim == 0 else torch.where(inside, tensor, 0)
+        if tensor.ndim == 0:
+            return tensor.reshape(1, 1, 1)
+        if tuple(tensor.shape) not in ((1, *size), (channels, *size)):
+            expected, got = f"a number or {(channels, *size)}", str(tuple(tensor.shape))
+            raise ShapeError(name, expected=expected, got=got, mend="one number for all, or one per pixel")
+        return torch.where(inside, tensor, 0)
 
     if albedo is not None:
         check_range("albedo", albedo, 0.0, math.inf, "albedo is never negative")
     if roughness is not None:
         check_range("roughness", roughness, 0.0, math.pi / 2, "roughness is in radians")
+    if ambient is not None:
+        check_range("ambient", ambient, 0.0, math.inf, "ambient light is a share of the light's irradiance")
     view = values.new_tensor((0.0, 0.0, 1.0)).reshape(3, 1, 1)
     rays, pixel = None, 1.0
     if camera is not None and camera.is_perspective:
@@ -183,8 +204,9 @@ def _scene(
         light=light.to(values).reshape(3, 1, 1) if light.ndim == 1 else light.to(values),
         view=view,
         rays=rays,
-        albedo=chart(albedo, unit),
-        roughness=chart(roughness, START_ROUGHNESS),
+        albedo=chart("albedo", albedo, unit, len(image)),
+        roughness=chart("roughness", roughness, START_ROUGHNESS),
+        ambient=chart("ambient", ambient, START_AMBIENT),
         known=torch.where(inside, heights, torch.nan),
         pixel=pixel,
         likely=None,
@@ -263,7 +285,7 @@ def _choose_side(scene: Scene, start: Surface, wish: Wish, *, sure: bool) -> tup
     while min(small.mask.shape[1:]) >= 4 * surface_fit.COARSEST:
         small = small.halved()
     found, cost = surface_fit.fit(small, start, wish)
-    turned, other = surface_fit.fit(small, Surface(-start.height, start.albedo, start.roughness), wish)
+    turned, other = surface_fit.fit(small, replace(start, height=-start.height), wish)
     alike = [
         "the same surface inside out, dents for bumps, explains the picture about as well: depth= or known= decides."
     ]
@@ -305,7 +327,7 @@ def _result(
     height = surface_fit.centres(found.height)
     if not bool(scene.known.isfinite().any()):
         height = height - height[inside].mean()
-    albedo, roughness = surface_fit.reflectance(scene, found, wish)
+    albedo, roughness, ambient = surface_fit.unknowns(scene, found, wish)
     if wish.free_albedo:
         report.append(
             f"albedo {albedo.item():.3f}, estimated: a darker surface that leans more to the light looks much the same."
@@ -314,11 +336,13 @@ def _result(
         report.append(
             f"roughness {math.degrees(roughness.item()):.0f} degrees, estimated from one picture: take it as a guess."
         )
+    if wish.free_ambient:
+        report.append(f"ambient light {ambient.item():.3f} of the light, estimated: it pales slopes as roughness does.")
     if wish.free_albedo and wish.free_roughness:
         report.append("albedo and roughness together are not told by one picture.")
     if not wish.contour:
         report.append("no occluding contour: a slant of the whole surface shows only as brightness.")
-    dark = int((scene.image.mean(0, keepdim=True) < DARK * scene.unit)[inside].sum())
+    dark = int((surface_fit.above_ambient(scene, found, wish) < DARK * scene.unit)[inside].sum())
     if dark:
         report.append(f"{dark} pixels are in shadow: there the surface goes on smoothly, and confidence is low.")
 

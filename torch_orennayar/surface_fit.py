@@ -42,8 +42,11 @@ MISUNDERSTOOD = 0.03
 normals: where reflectance explains the picture, they are not asked."""
 NEGLIGIBLE = 0.003
 """A weight of them below which nothing is solved again."""
-ROUGHEST, WHITEST = 1.1, 4.0
-"""Where an unknown roughness ends, radians, and an unknown albedo, times the picture's bright end."""
+ROUGHEST, WHITEST, STRONGEST_AMBIENT = 1.1, 4.0, 0.3
+"""Where an unknown roughness ends, radians, an unknown albedo, times the picture's bright end, and unknown ambient
+light, times the irradiance of the light."""
+LIT = 0.05
+"""Share of the bright end, above ambient light, from which a pixel is taken to face the light."""
 KNOWN = 0.05
 """Weight of a known height per squared pixel."""
 
@@ -61,6 +64,7 @@ class Scene:
         rays: (3, H + 1, W + 1) lines of sight through corners at depth 1, or None for parallel ones.
         albedo: (1 or C, 1, 1) or maps.
         roughness: (1, 1, 1) or (1, H, W).
+        ambient: (1, 1, 1) or (1, H, W), times the light's irradiance.
         known: (1, H, W) heights, NaN where unknown.
         pixel: angle of a pixel, or 1.
         likely: (3, H, W) normals of the inflated silhouette, or None where no contour tells them.
@@ -75,6 +79,7 @@ class Scene:
     rays: Tensor | None
     albedo: Tensor
     roughness: Tensor
+    ambient: Tensor
     known: Tensor
     pixel: float
     likely: Tensor | None
@@ -100,6 +105,7 @@ class Scene:
             rays=rays,
             albedo=inside(self.albedo),
             roughness=inside(self.roughness),
+            ambient=inside(self.ambient),
             known=known,
             pixel=self.pixel * (1 if self.rays is None else 2),
             likely=None if self.likely is None else F.normalize(inside(self.likely), dim=0),
@@ -115,11 +121,13 @@ class Surface:
         height: (1, H + 1, W + 1) of the corners.
         albedo: (1, 1, 1), the logit of its share of `WHITEST`, where it is free.
         roughness: (1, 1, 1), the logit of its share of `ROUGHEST`, where it is free.
+        ambient: (1, 1, 1), the logit of its share of `STRONGEST_AMBIENT`, where it is free.
     """
 
     height: Tensor
     albedo: Tensor
     roughness: Tensor
+    ambient: Tensor
 
 
 @dataclass(frozen=True)
@@ -132,6 +140,7 @@ class Wish:
     silhouette: float
     free_albedo: bool
     free_roughness: bool
+    free_ambient: bool
 
 
 def _halve(values: Tensor) -> Tensor:
@@ -187,7 +196,7 @@ def fit(scene: Scene, start: Surface, wish: Wish, *, coarse: bool = True, show: 
     for k, level in enumerate(track(levels, show, len(levels)) if show else levels):
         grown = surface.height.shape[1] - 1
         height = _resize(surface.height, _corners(level)) * (level.mask.shape[1] / grown)
-        surface = Surface(height, surface.albedo, surface.roughness)
+        surface = replace(surface, height=height)
         surface, cost, left = _fit_level(level, surface, wish, pull)
         if scene.likely is not None and k == max(len(levels) - 2, 0):  # fine enough to tell whether it is understood
             pull = wish.silhouette * left**2 / (left**2 + MISUNDERSTOOD**4)
@@ -200,18 +209,26 @@ def _corners(scene: Scene) -> tuple[int, int]:
     return scene.mask.shape[1] + 1, scene.mask.shape[2] + 1
 
 
-def reflectance(scene: Scene, surface: Surface, wish: Wish) -> tuple[Tensor, Tensor]:
-    """Albedo and roughness, given or found."""
+def unknowns(scene: Scene, surface: Surface, wish: Wish) -> tuple[Tensor, Tensor, Tensor]:
+    """Albedo, roughness and ambient light, given or found."""
     albedo = WHITEST * scene.unit * surface.albedo.sigmoid() if wish.free_albedo else scene.albedo
     roughness = ROUGHEST * surface.roughness.sigmoid() if wish.free_roughness else scene.roughness
-    return albedo, roughness
+    ambient = STRONGEST_AMBIENT * surface.ambient.sigmoid() if wish.free_ambient else scene.ambient
+    return albedo, roughness, ambient
 
 
 def shade(scene: Scene, surface: Surface, normal: Tensor, wish: Wish) -> Tensor:
     """The picture of a surface, (C, H, W)."""
-    albedo, roughness = reflectance(scene, surface, wish)
+    albedo, roughness, ambient = unknowns(scene, surface, wish)
     light, view = scene.light[None], scene.view[None]
-    return oren_nayar(normal[None], light, view, albedo[None], roughness[None], model=wish.model)[0]
+    direct = oren_nayar(normal[None], light, view, albedo[None], roughness[None], model=wish.model)[0]
+    return direct + albedo * ambient
+
+
+def above_ambient(scene: Scene, surface: Surface, wish: Wish) -> Tensor:
+    """What the light itself adds to the picture, (1, H, W), mean of the channels."""
+    albedo, _, ambient = unknowns(scene, surface, wish)
+    return (scene.image - albedo * ambient).mean(0, keepdim=True)
 
 
 def _fit_level(scene: Scene, start: Surface, wish: Wish, pull: float) -> tuple[Surface, float, float]:
@@ -224,14 +241,15 @@ def _fit_level(scene: Scene, start: Surface, wish: Wish, pull: float) -> tuple[S
         moves = [start.height.new_zeros(1, *shape).requires_grad_() for shape in shapes]
         albedo = start.albedo.clone().requires_grad_(wish.free_albedo)
         roughness = start.roughness.clone().requires_grad_(wish.free_roughness)
+        ambient = start.ambient.clone().requires_grad_(wish.free_ambient)
 
         def now() -> Surface:
             height = start.height
             for k, move in enumerate(moves):
                 height = height + SCALE_GAIN**k * (move if k == 0 else _resize(move, (shapes[0][0], shapes[0][1])))
-            return Surface(height, albedo, roughness)
+            return Surface(height, albedo, roughness, ambient)
 
-        free = [*moves, *(p for p in (albedo, roughness) if p.requires_grad)]
+        free = [*moves, *(p for p in (albedo, roughness, ambient) if p.requires_grad)]
         optimiser = torch.optim.LBFGS(
             free,
             max_iter=STEPS,
@@ -255,8 +273,8 @@ def _fit_level(scene: Scene, start: Surface, wish: Wish, pull: float) -> tuple[S
             cost = float(terms.cost(found, pull) / pixels)
             missed = terms.missed(found, normals(found.height, scene.rays, scene.pixel))
             beyond_noise = max(float(missed.sum() / pixels) - scene.noise, 0.0)
-    surface = Surface(found.height.detach(), found.albedo.detach(), found.roughness.detach())
-    return surface, cost, beyond_noise
+    found = Surface(*(values.detach() for values in (found.height, found.albedo, found.roughness, found.ambient)))
+    return found, cost, beyond_noise
 
 
 @contextmanager
@@ -280,7 +298,6 @@ class _Terms:
     outward: Tensor
     across: Tensor
     along: Tensor
-    bright: Tensor
 
     @staticmethod
     def of(scene: Scene, wish: Wish) -> _Terms:
@@ -296,7 +313,6 @@ class _Terms:
         outward = F.normalize(outward - (outward * scene.view).sum(0, keepdim=True) * scene.view, dim=0)
         inner = -F.max_pool2d(-F.pad(mask, (1, 1, 1, 1)), 3, 1)
         border = mask * (inner < 1)
-        bright = (scene.image.mean(0, keepdim=True) > 0.05 * scene.unit).to(mask) * mask
         return _Terms(
             scene,
             wish,
@@ -304,7 +320,6 @@ class _Terms:
             outward,
             mask[:, :, 1:] * mask[:, :, :-1],
             mask[:, 1:] * mask[:, :-1],
-            bright,
         )
 
     def missed(self, surface: Surface, normal: Tensor) -> Tensor:
@@ -335,7 +350,8 @@ class _Terms:
             slant = (normal[:2] * mask).flatten(1).sum(1) / mask.sum().clamp_min(1)
             total = total + LEVEL * slant.square().sum() * mask.sum()
         away = -(normal * scene.light).sum(0, keepdim=True)
-        total = total + UNLIT * (away.clamp_min(0).square() * self.bright).sum()
+        lit = (above_ambient(scene, surface, self.wish) > LIT * scene.unit) * mask
+        total = total + UNLIT * (away.clamp_min(0).square() * lit).sum()
         sure = scene.known.isfinite()
         if bool(sure.any()):
             total = total + KNOWN * (centres(z) - scene.known.nan_to_num(0)).square().mul(sure).sum()
