@@ -154,6 +154,15 @@ def test_graph_equals_torch_and_repeats_to_the_bit(graph: Path, rough: Scene) ->
         assert all(torch.allclose(value, other[name], rtol=0, atol=atol) for name, value in answers[0].items())
 
 
+def test_graph_keeps_what_makes_it_fast_in_one_piece(graph: Path) -> None:
+    """Products with their biases, and activations: a node each."""
+    described = ton.export.describe_onnx(graph)
+    assert described["opset"] == 20
+    assert described["operators"]["Gelu"] == 12
+    assert described["operators"]["Gemm"] >= 22
+    assert "Erf" not in described["operators"]
+
+
 @pytest.mark.parametrize(("name", "bar"), [("ball", 1.6), ("cat", 4.8), ("reading", 12.0)])
 def test_real_objects(data: Path, name: str, bar: float) -> None:
     """Not trained on; the design page's prototype errs by 2.16, 3.77 and 13.6 degrees."""

@@ -67,11 +67,14 @@ class SetNetwork(nn.Module):
             ``(normal, error)``: (P, 3), unit and toward the viewer, and (P, 1), radians; differentiable in both.
         """
         tokens = make_tokens(observed, lights)
-        x = self.embed(tokens.values)
+        pixels, count = observed.shape
+        # Tokens in a row, so that a graph's products of matrices take the bias along.
+        x = self.embed(tokens.values.reshape(pixels * count, FEATURES))
         for block in self.blocks:
-            x = block(x)
+            x = block(x, pixels, count)
         x = self.norm(x)
-        share = self.attend(x).softmax(1)  # (P, K, heads)
+        share = self.attend(x).reshape(pixels, count, -1).softmax(1)  # (P, K, heads)
+        x = x.reshape(pixels, count, -1)
         parts = x.unflatten(2, (share.shape[2], -1))
         pooled = torch.cat(((parts * share[..., None]).sum(1).flatten(1), x.amax(1)), 1)
         normal = F.normalize(tokens.start + self.mend(self.head(pooled)), dim=1)
@@ -88,9 +91,10 @@ class _Block(nn.Module):
         self.tell, self.hear = nn.Linear(width, width), nn.Linear(2 * width, width)
         self.think = nn.Sequential(nn.Linear(width, 2 * width), nn.GELU(), nn.Linear(2 * width, width))
 
-    def forward(self, x: Tensor) -> Tensor:
-        told = F.gelu(self.tell(self.before(x)))
-        x = x + self.hear(torch.cat((told.mean(1), told.amax(1)), 1))[:, None]
+    def forward(self, x: Tensor, pixels: int, count: int) -> Tensor:
+        told = F.gelu(self.tell(self.before(x))).reshape(pixels, count, -1)
+        heard = self.hear(torch.cat((told.mean(1), told.amax(1)), 1))[:, None]
+        x = (x.reshape(pixels, count, -1) + heard).reshape(pixels * count, -1)
         thought: Tensor = x + self.think(self.after(x))
         return thought
 
@@ -134,9 +138,8 @@ def _ranks(observed: Tensor) -> Tensor:
 
     Every pair is compared: dearer than to sort, but a sort would need the ties told apart, and graphs have this too.
     """
-    lower = (observed[:, None, :] < observed[:, :, None]).sum(2)
-    upto = (observed[:, None, :] <= observed[:, :, None]).sum(2)
-    return (lower + upto).to(observed) / (2 * observed.shape[1])
+    ahead = (observed[:, :, None] - observed[:, None, :]).sign().sum(2)  # darker ones less brighter ones
+    return 0.5 + ahead / (2 * observed.shape[1])
 
 
 def _robust(ratio: Tensor, lights: Tensor, weight: Tensor) -> Tensor:
