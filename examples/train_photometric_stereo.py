@@ -1,5 +1,7 @@
 """Train the photometric stereo network that ships with the package, on pixels shaded on the fly.
 
+Half of them stand in rendered scenes, whose parts shade and light each other; the rest between made-up walls.
+
     python examples/train_photometric_stereo.py                          # laptop, one GPU: what there is is used
     torchrun --nproc-per-node 2 examples/train_photometric_stereo.py     # many processes, many machines
 
@@ -112,7 +114,7 @@ def losses(network: SetNetwork, sample: dict[str, Tensor]) -> tuple[Tensor, Tens
 
 def task(options: argparse.Namespace) -> dict[str, int]:
     """What must be the same to go on from a checkpoint."""
-    return {name: getattr(options, name) for name in ("steps", "groups", "observations", "seed")}
+    return {name: getattr(options, name) for name in ("steps", "groups", "observations", "scenes", "seed")}
 
 
 def save(folder: Path, training: Training) -> None:
@@ -179,7 +181,11 @@ def train(options: argparse.Namespace) -> Training:
         training = Training(options)
         resume(folder, training)
         samples = SyntheticCaptures(
-            "pixels", seed=options.seed, observations=options.observations, device=options.device
+            "pixels",
+            seed=options.seed,
+            observations=options.observations,
+            scenes=options.scenes,
+            device=options.device,
         )
         begun, spent = time.perf_counter(), time.process_time()
         kept = [row for row in read_curve(folder / "curve.csv") if int(row[0]) <= training.step]
@@ -216,9 +222,10 @@ def write_curve(file: Path, rows: list[list[str]]) -> None:
 def parse(arguments: list[str] | None = None) -> argparse.Namespace:
     """The command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--steps", type=int, default=5000)
+    parser.add_argument("--steps", type=int, default=5500)
     parser.add_argument("--groups", type=int, default=8, help="samples of a step, shared by all processes")
     parser.add_argument("--observations", type=int, default=1536, help="pixels times lights of a sample")
+    parser.add_argument("--scenes", type=int, default=400, help="rendered scenes that half of the samples stand in")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--every", type=int, default=100, help="steps between checkpoints")
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import fields, replace
+from itertools import islice
 
 import pytest
 import torch
@@ -121,11 +122,56 @@ def test_seeds_and_indices_differ() -> None:
 
 
 @pytest.mark.parametrize(
-    "options", [{"kind": "films"}, {"lights": (2, 9)}, {"lights": (9, 5)}, {"rank": 2, "world": 2}]
+    "options", [{"kind": "films"}, {"lights": (2, 9)}, {"lights": (9, 5)}, {"scenes": -1}, {"rank": 2, "world": 2}]
 )
 def test_mistakes(options: dict[str, object]) -> None:
     with pytest.raises(ton.RangeError):
         SyntheticCaptures(**options)  # type: ignore[arg-type]
+
+
+def in_scenes(
+    count: int, meshes: list[tuple[Tensor, Tensor]] | None = None, **switches: object
+) -> list[dict[str, Tensor]]:
+    """The first samples of a source that stand in a scene: their lights are the same for all pixels."""
+    mix = replace(PLAIN, **switches)  # type: ignore[arg-type]
+    source = SyntheticCaptures(mix=mix, scenes=1, meshes=meshes, observations=2000, lights=(12, 40))
+    samples = (source.sample(k) for k in range(40))
+    return list(islice((s for s in samples if bool((s["lights"] == s["lights"][:1]).all())), count))
+
+
+RIDGE = torch.tensor([[-1.0, -1, 0], [-1, 1, 0], [0, -1, -1], [0, 1, -1], [1, -1, 0], [1, 1, 0]])
+"""Two walls at right angles."""
+WALLS = torch.tensor([[0, 2, 3], [0, 3, 1], [2, 4, 5], [2, 5, 3]])
+
+
+class TestScenes:
+    def test_plain_pixels_of_a_scene_are_lamberts(self) -> None:
+        for sample in in_scenes(3):
+            assert torch.allclose(scaled(sample["observed"]), scaled(lambert(sample)), atol=2e-4)
+
+    def test_other_parts_stand_in_the_way_of_lights(self) -> None:
+        """Some observations are dark that are turned to their light, the others stay as they were."""
+        (plain,), (shaded,) = in_scenes(1), in_scenes(1, shadows=3)
+        assert torch.equal(plain["normal"], shaded["normal"])
+        before, after = scaled(lambert(plain)), scaled(shaded["observed"])
+        whole = (after - before).abs().amax(1) < 1e-3  # pixels that every light reaches
+        assert 0.2 < whole.float().mean() < 1
+        assert ((after < 0.01) & (before > 0.2)).any()
+
+    def test_walls_at_right_angles_light_each_other_and_a_flat_one_does_not(self) -> None:
+        for faces, gains in ((WALLS, True), (WALLS[:2], False)):
+            (plain,), (lit,) = (in_scenes(1, [(RIDGE, faces)], bounce=b) for b in (False, True))
+            brighter = lit["observed"].mean(1) / lit["observed"].amax(1) > 1.01 * scaled(plain["observed"]).mean(1)
+            assert bool(brighter.any()) == gains
+
+    def test_what_was_drawn_before_does_not_matter(self) -> None:
+        def source() -> SyntheticCaptures:
+            return SyntheticCaptures(scenes=2, observations=300, seed=2)
+
+        fresh, used = source(), source()
+        wanted = [fresh.sample(k)["observed"] for k in range(6)]
+        for k in (5, 2, 0, 4, 1, 3):
+            assert torch.equal(used.sample(k)["observed"], wanted[k])
 
 
 class TestImages:
@@ -165,11 +211,8 @@ class TestImages:
 
     def test_hollows_light_themselves_and_flat_parts_do_not(self) -> None:
         """Two walls at right angles: each sends light to the other, most near the edge; a single wall gets none."""
-        ridge = torch.tensor([[-1.0, -1, 0], [-1, 1, 0], [0, -1, -1], [0, 1, -1], [1, -1, 0], [1, 1, 0]])
-        faces = torch.tensor([[0, 2, 3], [0, 3, 1], [2, 4, 5], [2, 5, 3]])
-        flat = torch.tensor([[-1.0, -1, 0], [-1, 1, 0], [1, -1, 0], [1, 1, 0]])
-        for vertices, triangles, gains in ((ridge, faces, True), (flat, faces[:2], False)):
-            options = {"lights": (4, 4), "meshes": [(vertices, triangles)], "seed": 3}
+        for triangles, gains in ((WALLS, True), (WALLS[:2], False)):
+            options = {"lights": (4, 4), "meshes": [(RIDGE, triangles)], "seed": 3}
             plain, lit = (SyntheticCaptures("images", mix=replace(PLAIN, bounce=b), **options) for b in (False, True))  # type: ignore[arg-type]
             changed = 0
             for index in range(8):

@@ -17,7 +17,7 @@ from example_code import EXAMPLES, load
 from torch_orennayar.errors import FileError
 
 TRAINER = EXAMPLES / "train_photometric_stereo.py"
-SMALL = ("--groups", "2", "--observations", "256", "--threads", "1", "--device", "cpu")
+SMALL = ("--groups", "2", "--observations", "256", "--scenes", "2", "--threads", "1", "--device", "cpu")
 
 
 def command(folder: Path, steps: int, every: int) -> list[str]:

@@ -14,7 +14,6 @@ from torch.utils.data import IterableDataset, get_worker_info
 from .bounce import SeenSurface, light_between
 from .camera import Camera
 from .errors import RangeError
-from .mesh import normalise_mesh
 from .render import render_normals
 from .shadow import cast_shadows
 from .synthetic_pixels import (
@@ -26,10 +25,13 @@ from .synthetic_pixels import (
     draw_normals,
     sense,
     shade_pixels,
+    stand_walls,
     tell_lights,
 )
+from .synthetic_scenes import Mesh, Scene, draw_mesh, draw_scene
 
-Mesh = tuple[Tensor, Tensor]
+IN_SCENES = 0.5
+"""Share of samples of pixels that stand in scenes, where there are any."""
 
 
 class SyntheticCaptures(IterableDataset[dict[str, Tensor]]):
@@ -50,14 +52,17 @@ class SyntheticCaptures(IterableDataset[dict[str, Tensor]]):
         mix: what captures are made of; `Ingredients`.
         lights: fewest and most lights.
         observations: P times K of ``"pixels"``, about.
+        scenes: half of the samples of ``"pixels"`` stand in one of so many rendered scenes, whose parts shade and light
+            each other, under its 48 lights or some of them; the rest stand between made-up walls. A scene takes most of
+            a second when it is first needed and is kept.
         size: (H, W) of ``"images"``.
-        meshes: (vertices, faces) of ``"images"``; default: bumpy balls, rings and heaps of balls.
+        meshes: (vertices, faces) of ``"images"`` and scenes; default: bumpy balls, rings and heaps of balls.
         device: where captures are made.
         rank: of this process; default: of the process group, or 0.
         world: number of processes; the same.
 
     Raises:
-        RangeError: an unknown kind, fewer than 3 lights, or a rank that is not below ``world``.
+        RangeError: an unknown kind, fewer than 3 lights, fewer than 0 scenes, or a rank that is not below ``world``.
 
     Example:
         >>> import torch_orennayar as ton
@@ -76,6 +81,7 @@ class SyntheticCaptures(IterableDataset[dict[str, Tensor]]):
         mix: Ingredients | None = None,
         lights: tuple[int, int] = (12, 100),
         observations: int = 12_288,
+        scenes: int = 0,
         size: tuple[int, int] = (64, 64),
         meshes: Sequence[Mesh] | None = None,
         device: torch.device | str = "cpu",
@@ -86,9 +92,12 @@ class SyntheticCaptures(IterableDataset[dict[str, Tensor]]):
             raise RangeError("kind", expected="'pixels' or 'images'", got=repr(kind), mend="choose one")
         if not 3 <= lights[0] <= lights[1]:
             raise RangeError("lights", expected="fewest and most, 3 or more", got=str(lights), mend="put them in order")
+        if scenes < 0:
+            raise RangeError("scenes", expected="0 or more", got=str(scenes), mend="0 for none")
         self.kind, self.seed, self.start, self.length = kind, seed, start, length
         self.mix, self.lights, self.observations, self.size = mix or Ingredients(), lights, observations, size
         self.meshes, self.device = meshes, torch.device(device)
+        self.scenes, self._rendered = scenes, dict[int, Scene]()
         grouped = torch.distributed.is_available() and torch.distributed.is_initialized()
         self.rank = rank if rank is not None else torch.distributed.get_rank() if grouped else 0
         self.world = world if world is not None else torch.distributed.get_world_size() if grouped else 1
@@ -108,10 +117,13 @@ class SyntheticCaptures(IterableDataset[dict[str, Tensor]]):
     @torch.no_grad()
     def sample(self, index: int) -> dict[str, Tensor]:
         """Capture number ``index``."""
-        digest = hashlib.blake2b(f"{self.kind} {self.seed} {index}".encode(), digest_size=8).digest()
-        draw = Draw(int.from_bytes(digest, "big") >> 1, self.device)
+        draw = self._draw(self.kind, index)
         count = self._count(draw)
         return self._pixels(draw, count) if self.kind == "pixels" else self._images(draw, count)
+
+    def _draw(self, what: str, index: int) -> Draw:
+        digest = hashlib.blake2b(f"{what} {self.seed} {index}".encode(), digest_size=8).digest()
+        return Draw(int.from_bytes(digest, "big") >> 1, self.device)
 
     def _count(self, draw: Draw) -> int:
         """Lights: half the time any number, few as likely as many, otherwise many."""
@@ -120,15 +132,39 @@ class SyntheticCaptures(IterableDataset[dict[str, Tensor]]):
         return min(most, int(draw.logarithmic(1, low=low, high=most + 1).item()))
 
     def _pixels(self, draw: Draw, count: int) -> dict[str, Tensor]:
+        if self.scenes and draw.uniform(1).item() < IN_SCENES:
+            return self._pixels_of_scene(draw, count)
         pixels = max(1, self.observations // count)
         lights, normal = draw_lights(draw, pixels, count), draw_normals(draw, pixels)
         easy = draw.happens(self.mix.easy, pixels, 1)
-        observed = sense(draw, shade_pixels(draw, normal, lights, self.mix, easy), self.mix, easy)
+        reached, sent = stand_walls(draw, normal, lights, self.mix, easy)
+        return self._observe(draw, Scene(lights, normal, reached, sent), easy)
+
+    def _pixels_of_scene(self, draw: Draw, count: int) -> dict[str, Tensor]:
+        number = min(int(draw.uniform(1).item() * self.scenes), self.scenes - 1)
+        if number not in self._rendered:
+            self._rendered[number] = draw_scene(self._draw("scene", number), self.meshes)
+        scene = self._rendered[number]
+        some = torch.randperm(len(scene.lights), generator=draw.generator, device=draw.device)[:count]
+        pixels = max(1, self.observations // len(some))
+        which = torch.randint(len(scene.normal), (pixels,), generator=draw.generator, device=draw.device)
+        lights, normal = scene.lights[some].expand(pixels, -1, -1), scene.normal[which]
+        reached, sent = (part[which][:, some] for part in (scene.reached, scene.sent))
+        if not self.mix.shadows:
+            reached = torch.ones_like(reached)
+        return self._observe(
+            draw, Scene(lights, normal, reached, sent * self.mix.bounce), draw.happens(self.mix.easy, pixels, 1)
+        )
+
+    def _observe(self, draw: Draw, scene: Scene, easy: Tensor) -> dict[str, Tensor]:
+        """What a camera sees of pixels, each of a material of its own."""
+        lights, normal = scene.lights, scene.normal
+        observed = sense(draw, shade_pixels(draw, *scene, self.mix, easy), self.mix, easy)
         return {"observed": observed, "lights": tell_lights(draw, lights, self.mix), "normal": normal}
 
     def _images(self, draw: Draw, count: int) -> dict[str, Tensor]:
         mix = self.mix
-        vertices, faces = self._mesh(draw)
+        vertices, faces = draw_mesh(draw, self.meshes)
         camera = _camera(draw)
         seen = render_normals(vertices, faces, camera, self.size)
         mask, normal = seen.mask[0], seen.normal[0]
@@ -161,18 +197,6 @@ class SyntheticCaptures(IterableDataset[dict[str, Tensor]]):
             "roughness": material.roughness.reshape(1, 1, 1) * mask,
         }
 
-    def _mesh(self, draw: Draw) -> Mesh:
-        """One of the given meshes, or one made up, turned at random."""
-        if self.meshes:
-            choice = min(int(draw.uniform(1).item() * len(self.meshes)), len(self.meshes) - 1)
-            vertices, faces = (part.to(self.device) for part in self.meshes[choice])
-        else:
-            vertices, faces = _made_mesh(draw)
-        turn = torch.linalg.qr(draw.normal(3, 3).cpu())[0].to(vertices)
-        turn = turn * torch.linalg.det(turn.cpu()).sign().to(turn)
-        vertices = normalise_mesh(vertices @ turn)
-        return vertices / vertices.norm(dim=1).amax().clamp_min(1e-9), faces
-
 
 def _shade(surface: SeenSurface, lights: Tensor, material: Materials) -> tuple[Tensor, Tensor]:
     """What P pixels show and what falls on them, (P, K) each, nothing in the way of the lights."""
@@ -188,25 +212,6 @@ def _camera(draw: Draw) -> Camera:
         return Camera.orthographic(1.0)
     field = math.radians(draw.uniform(1, low=15, high=45).item())
     return Camera.perspective(field, eye=(0.0, 0.0, 1.0 / math.sin(field / 2)))
-
-
-def _made_mesh(draw: Draw) -> Mesh:
-    """A bumpy ball, a bumpy ring, or a heap of balls."""
-    import trimesh
-
-    kind = int(draw.uniform(1).item() * 3)
-    if kind == 2:
-        parts = []
-        for _ in range(4):
-            x, y, z, radius = draw.uniform(4, low=-0.5, high=0.5).tolist()
-            parts.append(trimesh.creation.icosphere(3, radius=0.3 + 0.3 * abs(radius)).apply_translation((x, y, z)))
-        mesh = trimesh.util.concatenate(parts)
-    else:
-        mesh = trimesh.creation.icosphere(4) if kind == 0 else trimesh.creation.torus(0.65, 0.3)
-    vertices = torch.tensor(mesh.vertices, dtype=torch.float32, device=draw.device)
-    waves = draw.normal(6, 3) * draw.uniform(6, 1, low=1, high=6)
-    push = (torch.sin(vertices @ waves.T + draw.uniform(6, high=6.3)) * draw.uniform(6, low=0.0, high=0.1)).sum(1)
-    return vertices * (1 + push[:, None]), torch.tensor(mesh.faces, device=draw.device)
 
 
 def _texture(draw: Draw, size: tuple[int, int]) -> Tensor:

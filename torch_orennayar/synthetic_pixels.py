@@ -15,6 +15,9 @@ from torch import Tensor
 from .reflectance import get_model
 from .specular import microfacet
 
+WALL = 0.35
+"""What a white wall that stands upright sends to a pixel that faces it, as a share of the light on it."""
+
 
 @dataclass(frozen=True)
 class Ingredients:
@@ -34,8 +37,8 @@ class Ingredients:
         second_lobe: share of those with another.
         metal: share of glossy surfaces without a matt part worth naming.
         sheen: share that glows at grazing angles.
-        shadows: most walls that may stand in the way of lights; 0 for none.
-        bounce: whether walls, and in pictures the surface itself, send light on.
+        shadows: most walls that may stand in the way of lights; 0 for none, of cast shadows too.
+        bounce: whether walls, and in pictures and scenes the surface itself, send light on.
         ambient: most light from everywhere, as a share of the mean.
         light_error: largest error of light directions, radians.
         intensity_error: largest error of the lights' brightness as told.
@@ -182,8 +185,25 @@ def draw_material(draw: Draw, pixels: int, mix: Ingredients) -> Materials:
     )
 
 
-def shade_pixels(draw: Draw, normals: Tensor, lights: Tensor, mix: Ingredients, easy: Tensor) -> Tensor:
-    """What P pixels (P, 3) show under lights (P, K, 3) before the sensor, (P, K); ``easy`` (P, 1) is 0 or 1."""
+def stand_walls(draw: Draw, normals: Tensor, lights: Tensor, mix: Ingredients, easy: Tensor) -> tuple[Tensor, Tensor]:
+    """About P pixels (P, 3): the share of each light (P, K, 3) that walls let by, and what they send on, (P, K)."""
+    pixels, count = lights.shape[:2]
+    reached, sent = lights.new_ones(pixels, count), lights.new_zeros(pixels, count)
+    for _ in range(mix.shadows):
+        stands = draw.happens(0.4, pixels, 1) * (1 - easy)
+        blocked, bounced = _wall(draw, normals, lights)
+        reached = reached * (1 - stands * blocked)
+        sent = sent + stands * bounced * mix.bounce
+    return reached, sent * draw.uniform(pixels, 1, low=0.1, high=0.8)
+
+
+def shade_pixels(
+    draw: Draw, lights: Tensor, normals: Tensor, reached: Tensor, sent: Tensor, mix: Ingredients, easy: Tensor
+) -> Tensor:
+    """What P pixels (P, 3) of any materials show before the sensor, (P, K).
+
+    ``reached`` and ``sent`` (P, K) are as of `stand_walls`; ``easy`` (P, 1) is 0 or 1.
+    """
     pixels = len(normals)
     materials = draw_material(draw, pixels, mix)
     materials = replace(materials, sheen=materials.sheen * (1 - easy))
@@ -191,16 +211,9 @@ def shade_pixels(draw: Draw, normals: Tensor, lights: Tensor, mix: Ingredients, 
     co = normals[:, 2:].clamp_min(0.05).expand_as(ci)
     held = ci.clamp_min(1e-3)
     direct = materials.reflect(held, co, lights[..., 2].contiguous()) * ci.clamp_min(0)
-    lit, sent = torch.ones_like(direct), torch.zeros_like(direct)
-    for _ in range(mix.shadows):
-        stands = draw.happens(0.4, pixels, 1) * (1 - easy)
-        blocked, bounced = _wall(draw, normals, lights)
-        lit = lit * (1 - stands * blocked)
-        sent = sent + stands * bounced * mix.bounce
-    seen = direct * lit
     level = direct.mean(1, keepdim=True).clamp_min(1e-6)
-    base = draw.uniform(pixels, 1, low=0.1, high=0.8)
-    return seen + base * level * sent + draw.uniform(pixels, 1, high=mix.ambient) * level
+    white = level / ci.clamp_min(0).mean(1, keepdim=True).clamp_min(0.05)
+    return direct * reached + white * sent + draw.uniform(pixels, 1, high=mix.ambient) * level
 
 
 def _wall(draw: Draw, normals: Tensor, lights: Tensor) -> tuple[Tensor, Tensor]:
@@ -218,7 +231,7 @@ def _wall(draw: Draw, normals: Tensor, lights: Tensor) -> tuple[Tensor, Tensor]:
     tilt = draw.uniform(pixels, 1, low=0.0, high=1.0)
     lit = (-toward * tilt.cos() + lights[..., 2] * tilt.sin()).clamp_min(0)
     faces = (normals[:, :1] * azimuth.cos() + normals[:, 1:2] * azimuth.sin()) * 0.8 + 0.2
-    return blocked, lit * faces.clamp_min(0) * height.sin() * 0.5
+    return blocked, lit * faces.clamp_min(0) * height.sin() * WALL
 
 
 def sense(draw: Draw, light: Tensor, mix: Ingredients, easy: Tensor) -> Tensor:
