@@ -7,8 +7,7 @@ models that are fitted, with 1 % noise. Real ones, where FOLDER (default: $TORCH
 pictures of DiLiGenT's objects, UW's grey ball, MIT-Berkeley objects, each under lights that are known or, for
 MIT-Berkeley, estimated from the truth together with the ambient light. Beside every result stand a plane, the inflated
 silhouette, Lambert's and the classic form by the same solver, and "vcavity, ambient found", which is told nothing of
-ambient light. Prints tables, writes shape.json, a speed-accuracy chart and a map of failures (light x
-roughness).
+ambient light. Prints tables, writes shape.json, a speed-accuracy chart and a map of failures (light x roughness).
 """
 
 from __future__ import annotations

@@ -164,6 +164,12 @@ class TestScenes:
             brighter = lit["observed"].mean(1) / lit["observed"].amax(1) > 1.01 * scaled(plain["observed"]).mean(1)
             assert bool(brighter.any()) == gains
 
+    def test_a_mesh_that_shows_nothing_is_an_error(self) -> None:
+        line = torch.tensor([[0.0, 0, 0], [1, 1, 1], [2, 2, 2]]), torch.tensor([[0, 1, 2]])
+        source = SyntheticCaptures(scenes=1, meshes=[line])
+        with pytest.raises(ton.RangeError, match="meshes"):
+            [source.sample(k) for k in range(20)]
+
     def test_what_was_drawn_before_does_not_matter(self) -> None:
         def source() -> SyntheticCaptures:
             return SyntheticCaptures(scenes=2, observations=300, seed=2)

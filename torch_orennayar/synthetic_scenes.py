@@ -10,6 +10,7 @@ from torch import Tensor
 
 from .bounce import SeenSurface, light_between
 from .camera import Camera
+from .errors import RangeError
 from .mesh import normalise_mesh
 from .render import render_normals
 from .shadow import cast_shadows
@@ -19,6 +20,8 @@ Mesh = tuple[Tensor, Tensor]
 
 SIDE, SCENE_LIGHTS, KEPT = 80, 48, 1500
 """Of a scene's picture, in pixels; lights; pixels that are kept."""
+TURNS = 8
+"""Of a mesh, until it shows something."""
 STEEPEST = 0.1
 """Least cosine of a kept pixel's normal to the view."""
 
@@ -40,8 +43,19 @@ class Scene(NamedTuple):
 
 
 def draw_scene(draw: Draw, meshes: Sequence[Mesh] | None) -> Scene:
-    """A mesh of one albedo that casts shadows on itself and lights itself."""
-    vertices, faces = draw_mesh(draw, meshes)
+    """A mesh of one albedo that casts shadows on itself and lights itself.
+
+    Raises:
+        RangeError: however a given mesh is turned, it shows no pixel.
+    """
+    for _ in range(TURNS):
+        scene = _render_scene(draw, *draw_mesh(draw, meshes))
+        if len(scene.normal):
+            return scene
+    raise RangeError("meshes", expected="faces to see", got="none from any side", mend="leave such meshes out")
+
+
+def _render_scene(draw: Draw, vertices: Tensor, faces: Tensor) -> Scene:
     seen = render_normals(vertices, faces, Camera.orthographic(1.0), (SIDE, SIDE))
     lights, surface = draw_lights(draw, 1, SCENE_LIGHTS)[0], SeenSurface.of(seen)
     reached = cast_shadows(vertices, faces, seen, lights, resolution=2 * SIDE)[:, 0, seen.mask[0, 0]].T
