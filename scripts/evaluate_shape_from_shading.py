@@ -173,7 +173,7 @@ def under_ambient(size: int) -> dict[str, dict[str, float]]:
     cases = {"ignored": replace(case, ambient=0.0), "told": case, "found": case}
     rows = {}
     for name, each in cases.items():
-        found = solve(each, "vcavity, ambient found" if name == "found" else "vcavity alone")
+        found = solve(each, "vcavity, ambient found" if name == "found" else "vcavity")
         rows[name] = angular_error(found, field.normal.float(), field.mask).summary()
     return rows
 

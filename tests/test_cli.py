@@ -210,6 +210,9 @@ def test_shape_from_one_photograph(orennayar: object, tmp_path: Path) -> None:
     assert {"mesh.ply", "report.html", "relight.gif"} <= {f.name for f in out.iterdir()}
     guessed = orennayar(*command)  # type: ignore[operator]
     assert "take it as a guess" in guessed.out
+    assert "ambient light 0." in guessed.out
+    for told in ((*command, "--ambient", 0.05), command[:2] + command[4:]):  # or without a mask
+        assert "ambient light" not in orennayar(*told).out  # type: ignore[operator]
     dark = orennayar(*command[:6], "--light", 0, 0, -1)  # type: ignore[operator]
     assert dark.status == 1
     assert "swap_opencv_frame" in dark.err

@@ -92,6 +92,12 @@ def test_ranks_share_ties() -> None:
     assert torch.allclose(ranks * 6, torch.tensor([1.0, 3.5, 1.0, 5.5, 3.5, 3.5]))
 
 
+def test_no_pixels(network: SetNetwork) -> None:
+    normal, doubt = network(torch.zeros(0, 12), torch.rand(12, 3))
+    assert normal.shape == (0, 3)
+    assert doubt.shape == (0, 1)
+
+
 def test_an_untrained_network_is_trimmed_least_squares(pixels: dict[str, Tensor]) -> None:
     found, _ = SetNetwork()(pixels["observed"], pixels["lights"])
     assert degrees(found, pixels["normal"]).median() < degrees(least_squares(pixels), pixels["normal"]).median()

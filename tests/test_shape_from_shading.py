@@ -189,16 +189,22 @@ def test_ambient_light(bumpy: Field) -> None:
     )
     assert errors(told, bumpy)["median"] < 2.2
     assert errors(found, bumpy)["median"] < 0.6 * errors(ignored, bumpy)["median"]
-    (line,) = [line for line in found.report if line.startswith("ambient light")]
-    assert abs(float(line.split()[2]) - 0.1) < 0.03
+    assert any(line.startswith("ambient light") for line in found.report)
+    assert found.ambient is not None
+    assert abs(found.ambient[bumpy.mask] - 0.1).max() < 0.03
+    again = found.shade(LIGHT[None])[0] + found.albedo * found.ambient
+    assert (again - image).abs()[bumpy.mask].mean() == pytest.approx(found.residual[bumpy.mask].mean(), abs=1e-4)
 
 
 def test_ambient_map(bumpy: Field) -> None:
     """More on one side: a map, also in a batch, and whatever is outside the mask."""
     ambient = torch.linspace(0, 0.2, SIZE).expand(1, SIZE, SIZE)
     image = photograph(bumpy, LIGHT, 0.5) + 0.8 * ambient
+    ambient = torch.where(bumpy.mask, ambient, torch.nan)
     batch = (t[None] for t in (image, LIGHT, bumpy.mask))
     found = shape_from_shading(*batch, albedo=0.8, roughness=0.5, ambient=ambient[None])
+    assert found.ambient is not None
+    assert torch.equal(found.ambient[0], ambient.nan_to_num(0))
     assert errors(replace(found, normal=found.normal[0]), bumpy)["median"] < 2.2
 
 
@@ -251,6 +257,8 @@ def test_tiny_images(size: tuple[int, int]) -> None:
         ({"mask": torch.ones(1, 4, 4)}, ShapeError, "mask"),
         ({"roughness": 30.0}, RangeError, "roughness"),
         ({"ambient": -0.1}, RangeError, "ambient"),
+        ({"ambient": 10}, RangeError, "tenth"),
+        ({"image": torch.full((1, 4, 4), 0.4), "ambient": 0.5}, RangeError, "ambient"),
         ({"ambient": torch.rand(4, 4)}, ShapeError, "ambient"),
         ({"albedo": torch.rand(2, 4, 4)}, ShapeError, "albedo"),
         ({"depth": torch.full((1, 4, 4), torch.nan)}, RangeError, "depth"),

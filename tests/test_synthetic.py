@@ -71,10 +71,12 @@ def test_every_switch_changes_what_is_seen(ingredient: str, value: object) -> No
                            after["lights" if ingredient == "light_error" else "observed"])  # fmt: skip
 
 
-def test_easy_pixels_have_no_walls_and_no_bad_photographs() -> None:
+@pytest.mark.parametrize("scenes", [0, 1])
+def test_easy_pixels_have_no_shadows_and_no_bad_photographs(scenes: int) -> None:
     mix = replace(PLAIN, shadows=3, bounce=True, outliers=1.0, sheen=1.0, easy=1.0)
-    sample = SyntheticCaptures(mix=mix).sample(1)
-    assert torch.allclose(scaled(sample["observed"]), scaled(lambert(sample)), atol=2e-4)
+    for index in range(4):
+        sample = SyntheticCaptures(mix=mix, scenes=scenes).sample(index)
+        assert torch.allclose(scaled(sample["observed"]), scaled(lambert(sample)), atol=2e-4)
 
 
 @given(
@@ -122,7 +124,15 @@ def test_seeds_and_indices_differ() -> None:
 
 
 @pytest.mark.parametrize(
-    "options", [{"kind": "films"}, {"lights": (2, 9)}, {"lights": (9, 5)}, {"scenes": -1}, {"rank": 2, "world": 2}]
+    "options",
+    [
+        {"kind": "films"},
+        {"lights": (2, 9)},
+        {"lights": (9, 5)},
+        {"scenes": -1},
+        {"kind": "images", "scenes": 2},
+        {"rank": 2, "world": 2},
+    ],
 )
 def test_mistakes(options: dict[str, object]) -> None:
     with pytest.raises(ton.RangeError):
@@ -133,7 +143,7 @@ def in_scenes(
     count: int, meshes: list[tuple[Tensor, Tensor]] | None = None, **switches: object
 ) -> list[dict[str, Tensor]]:
     """The first samples of a source that stand in a scene: their lights are the same for all pixels."""
-    mix = replace(PLAIN, **switches)  # type: ignore[arg-type]
+    mix = replace(PLAIN, easy=0.0, **switches)  # type: ignore[arg-type]
     source = SyntheticCaptures(mix=mix, scenes=1, meshes=meshes, observations=2000, lights=(12, 40))
     samples = (source.sample(k) for k in range(40))
     return list(islice((s for s in samples if bool((s["lights"] == s["lights"][:1]).all())), count))
@@ -165,19 +175,24 @@ class TestScenes:
             assert bool(brighter.any()) == gains
 
     def test_a_mesh_that_shows_nothing_is_an_error(self) -> None:
-        line = torch.tensor([[0.0, 0, 0], [1, 1, 1], [2, 2, 2]]), torch.tensor([[0, 1, 2]])
+        line = torch.tensor([[0.0, 0, 0], [1, 1, 1], [2, 2, 2]], dtype=torch.float64), torch.tensor([[0, 1, 2]])
         source = SyntheticCaptures(scenes=1, meshes=[line])
         with pytest.raises(ton.RangeError, match="meshes"):
             [source.sample(k) for k in range(20)]
 
     def test_what_was_drawn_before_does_not_matter(self) -> None:
         def source() -> SyntheticCaptures:
-            return SyntheticCaptures(scenes=2, observations=300, seed=2)
+            return SyntheticCaptures(scenes=2, observations=300, lights=(12, 20), seed=2)
 
         fresh, used = source(), source()
-        wanted = [fresh.sample(k)["observed"] for k in range(6)]
-        for k in (5, 2, 0, 4, 1, 3):
+        wanted = [fresh.sample(k)["observed"] for k in range(12)]
+        assert len(fresh._rendered) == 2
+        for k in reversed(range(12)):
             assert torch.equal(used.sample(k)["observed"], wanted[k])
+
+    def test_there_are_as_many_lights_as_asked_for(self) -> None:
+        source = SyntheticCaptures(scenes=1, lights=(60, 70), observations=700)
+        assert all(60 <= source.sample(k)["lights"].shape[1] <= 70 for k in range(8))
 
 
 class TestImages:

@@ -223,7 +223,10 @@ def shape(
     ] = None,
     albedo: Annotated[float | None, typer.Option(help="Albedo; default: estimated.", min=0)] = None,
     ambient: Annotated[
-        float | None, typer.Option(help="Light from all around as a share of the light; default: estimated.", min=0)
+        float | None,
+        typer.Option(
+            help="Light from all around as a share of the light; default: estimated with a mask, else 0.", min=0, max=1
+        ),
     ] = None,
     mask: MaskFile = None,
     model: ModelOrAuto = "auto",
@@ -247,7 +250,7 @@ def shape(
         loaded.mask,
         albedo=albedo,
         roughness=None if roughness is None else math.radians(roughness),
-        ambient=ambient,
+        ambient=0.0 if ambient is None and mask is None else ambient,
         model=model,
         contour=contour and mask is not None,
     )

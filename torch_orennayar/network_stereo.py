@@ -26,8 +26,8 @@ TRAINED_LIGHTS = 12
 """The fewest lights that it has seen."""
 OPSET = 20
 """The first with GELU in one piece, which makes the graph a quarter faster."""
-CHUNK = 1 << 13
-"""Observations at once: what fits in cache."""
+CHUNK, CHUNK_ACCELERATOR = 1 << 13, 1 << 20
+"""Observations at once: what fits in cache, and what keeps an accelerator busy."""
 
 
 class Paint(nn.Module):
@@ -60,7 +60,8 @@ def solve_network(
     network = (network or load_network()).to(images.device)
     dtype = next(network.parameters()).dtype
     grid, place, flat = Grid(inside), inside.flatten().nonzero().flatten(), images.flatten(2)
-    chunks = place.split(max(1, CHUNK // len(images)))
+    most = CHUNK if images.device.type == "cpu" else CHUNK_ACCELERATOR
+    chunks = place.split(max(1, most // len(images)))
 
     def look(chunk: Tensor) -> tuple[Tensor, Tensor]:
         return flat[:, :, chunk].permute(2, 1, 0).to(dtype), gather_directions(lights, chunk).to(dtype)

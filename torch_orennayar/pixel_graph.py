@@ -14,9 +14,6 @@ from .shading_graph import OPSET, Nodes, as_model, inline, write_graph
 if TYPE_CHECKING:
     import onnx
 
-_CONSTANTS: dict[str, object] = {
-    "all": [-1], "keep_two": [0, 0, -1], "keep_one": [0, -1], "zero": [0], "one": [1], "axis": 0, "nothing": [0.0],
-}  # fmt: skip
 STEREO_INPUTS = ("images", "lights", "mask")
 
 

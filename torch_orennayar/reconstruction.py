@@ -42,6 +42,8 @@ class Reconstruction:
             by how far parts of the pixels differ; 0 without a roughness, infinite where these photographs do not tell
             it (few lights, all near the view); one per capture of a batch, as a tuple.
         depth: None from photometric stereo; `integrate_normals` gives it.
+        ambient: (1, H, W) light from all around as a share of the light, given or found, 0 outside the mask; `shade`
+            leaves it out. None from photometric stereo.
     """
 
     normal: Tensor
@@ -57,6 +59,7 @@ class Reconstruction:
     falloff: float | tuple[float, ...] = 1.0
     roughness_error: float | tuple[float, ...] = 0.0
     depth: Tensor | None = None
+    ambient: Tensor | None = None
 
     def shade(self, lights: Tensor) -> Tensor:
         """Relight an unbatched result: what it shows under other distant lights, seen from the front.

@@ -73,8 +73,8 @@ class SetNetwork(nn.Module):
         for block in self.blocks:
             x = block(x, pixels, count)
         x = self.norm(x)
-        share = self.attend(x).reshape(pixels, count, -1).softmax(1)  # (P, K, heads)
-        x = x.reshape(pixels, count, -1)
+        share = self.attend(x).reshape(pixels, count, self.attend.out_features).softmax(1)  # (P, K, heads)
+        x = x.reshape(pixels, count, x.shape[1])
         parts = x.unflatten(2, (share.shape[2], -1))
         pooled = torch.cat(((parts * share[..., None]).sum(1).flatten(1), x.amax(1)), 1)
         normal = F.normalize(tokens.start + self.mend(self.head(pooled)), dim=1)
@@ -92,9 +92,10 @@ class _Block(nn.Module):
         self.think = nn.Sequential(nn.Linear(width, 2 * width), nn.GELU(), nn.Linear(2 * width, width))
 
     def forward(self, x: Tensor, pixels: int, count: int) -> Tensor:
-        told = F.gelu(self.tell(self.before(x))).reshape(pixels, count, -1)
+        width = x.shape[1]
+        told = F.gelu(self.tell(self.before(x))).reshape(pixels, count, width)
         heard = self.hear(torch.cat((told.mean(1), told.amax(1)), 1))[:, None]
-        x = (x.reshape(pixels, count, -1) + heard).reshape(pixels * count, -1)
+        x = (x.reshape(pixels, count, width) + heard).reshape(pixels * count, width)
         thought: Tensor = x + self.think(self.after(x))
         return thought
 

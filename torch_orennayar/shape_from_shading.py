@@ -26,8 +26,6 @@ ALIKE = 1.25
 """Two surfaces whose costs differ by less than this factor explain the picture equally well."""
 START_ROUGHNESS, START_AMBIENT = math.radians(25), 0.01
 """Where the search for an unknown roughness and for unknown ambient light begins."""
-DARK = 0.05
-"""Share of the picture's bright end below which a pixel counts as shadow."""
 NEAR_ENOUGH = 0.01
 """Error of shading that the simplest sufficient model may have: about the noise of a picture."""
 NOISE = 0.01
@@ -71,9 +69,9 @@ def shape_from_shading(
         mask: (1, H, W) or (B, 1, H, W) bool; default all pixels.
         albedo: number or map (1 or C, H, W), with B in front for batches; None to estimate one number.
         roughness: radians, number or map (1, H, W), with B in front for batches; None to estimate one number.
-        ambient: light from all around, as a share of the light's irradiance: number or map (1, H, W), with B in front
-            for batches; None to estimate one number, up to 0.3. It is shaded as by a matt surface. A photograph with
-            the light off, subtracted, is better than either.
+        ambient: light from all around, as a share of the light's irradiance, 0 to 1: number or map (1, H, W), with B in
+            front for batches; None to estimate one number, up to 0.3. It is shaded as by a matt surface. A photograph
+            with the light off, subtracted, is better than either.
         model: a name in ``MODELS``, or ``"auto"``: the simplest that is near enough to the theory for this albedo and
             roughness (`simplest_model`); the report says why.
         contour: whether the mask's edge is an occluding contour.
@@ -92,7 +90,8 @@ def shape_from_shading(
 
     Raises:
         ShapeError: shapes do not fit together.
-        RangeError: NaN inside the mask, a light that is no unit vector or behind the surface.
+        RangeError: NaN inside the mask, a light that is no unit vector or behind the surface, albedo, roughness or
+            ambient light out of range.
         CaptureError: an empty mask, or no light in the picture.
         ModelError: unknown model.
 
@@ -176,26 +175,26 @@ def _scene(
     if unit <= 0:
         raise CaptureError("image", expected="light inside the mask", got="none", mend="check exposure and mask")
 
-    def chart(name: str, value: float | Tensor | None, instead: float, channels: int = 1) -> Tensor:
+    def chart(name: str, value: float | Tensor | None, instead: float, most: float, mend: str) -> Tensor:
         tensor = torch.as_tensor(instead if value is None else value).to(values)
-        if tensor.ndim == 0:
-            return tensor.reshape(1, 1, 1)
-        if tuple(tensor.shape) not in ((1, *size), (channels, *size)):
-            expected, got = f"a number or {(channels, *size)}", str(tuple(tensor.shape))
+        tensor = tensor.reshape(1, 1, 1) if tensor.ndim == 0 else tensor
+        channels = (1, len(image)) if name == "albedo" else (1,)
+        if tensor.ndim != 3 or tensor.shape[0] not in channels or tuple(tensor.shape[1:]) not in ((1, 1), size):
+            expected, got = f"a number or {(channels[-1], *size)}", str(tuple(tensor.shape))
             raise ShapeError(name, expected=expected, got=got, mend="one number for all, or one per pixel")
-        return torch.where(inside, tensor, 0)
+        tensor = tensor if tensor.shape[1:] == (1, 1) else torch.where(inside, tensor, 0)
+        check_range(name, tensor, 0.0, most, mend)
+        return tensor
 
-    if albedo is not None:
-        check_range("albedo", albedo, 0.0, math.inf, "albedo is never negative")
-    if roughness is not None:
-        check_range("roughness", roughness, 0.0, math.pi / 2, "roughness is in radians")
-    if ambient is not None:
-        check_range("ambient", ambient, 0.0, math.inf, "ambient light is a share of the light's irradiance")
     view = values.new_tensor((0.0, 0.0, 1.0)).reshape(3, 1, 1)
     rays, pixel = None, 1.0
     if camera is not None and camera.is_perspective:
         view = camera.view_directions(size)[0].to(values)
         rays, pixel = _corner_rays(camera, size).to(values), 2 / (size[0] * float(camera.focal[0, 1]))
+    told = chart("ambient", ambient, START_AMBIENT, 1.0, "it is a share of the light: 0.1 for a tenth")
+    paint = chart("albedo", albedo, unit, math.inf, "albedo is never negative")
+    if albedo is not None and ambient is not None and not bool((values > paint * told)[:, inside[0]].any()):
+        raise RangeError("ambient", expected="less light than in the picture", got="more", mend="0.1 is a tenth")
     heights = torch.full_like(values[:1], torch.nan) if known is None else _to_height(known.to(values), camera, size)
     return Scene(
         image=values,
@@ -204,9 +203,9 @@ def _scene(
         light=light.to(values).reshape(3, 1, 1) if light.ndim == 1 else light.to(values),
         view=view,
         rays=rays,
-        albedo=chart("albedo", albedo, unit, len(image)),
-        roughness=chart("roughness", roughness, START_ROUGHNESS),
-        ambient=chart("ambient", ambient, START_AMBIENT),
+        albedo=paint,
+        roughness=chart("roughness", roughness, START_ROUGHNESS, math.pi / 2, "roughness is in radians"),
+        ambient=told,
         known=torch.where(inside, heights, torch.nan),
         pixel=pixel,
         likely=None,
@@ -342,7 +341,7 @@ def _result(
         report.append("albedo and roughness together are not told by one picture.")
     if not wish.contour:
         report.append("no occluding contour: a slant of the whole surface shows only as brightness.")
-    dark = int((surface_fit.above_ambient(scene, found, wish) < DARK * scene.unit)[inside].sum())
+    dark = int((surface_fit.above_ambient(scene, found, wish) < surface_fit.LIT * scene.unit)[inside].sum())
     if dark:
         report.append(f"{dark} pixels are in shadow: there the surface goes on smoothly, and confidence is low.")
 
@@ -360,6 +359,7 @@ def _result(
         report=tuple(report),
         roughness_error=math.inf if wish.free_roughness else 0.0,
         depth=kept(_to_depth(height, camera, size)),
+        ambient=kept(ambient),
     )
 
 
@@ -397,4 +397,5 @@ def _solve_batch(image: Tensor, each: Mapping[str, Any], shared: Mapping[str, An
         return shape_from_shading(image[b], **own, **shared)
 
     found = [solve(b) for b in range(len(image))]
-    return replace(stack(found), depth=torch.stack([f.depth for f in found if f.depth is not None]))
+    depth, ambient = (torch.stack([getattr(f, name) for f in found]) for name in ("depth", "ambient"))
+    return replace(stack(found), depth=depth, ambient=ambient)

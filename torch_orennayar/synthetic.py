@@ -50,11 +50,11 @@ class SyntheticCaptures(IterableDataset[dict[str, Tensor]]):
         start: index of the first capture.
         length: number of captures, over all ranks; default endless.
         mix: what captures are made of; `Ingredients`.
-        lights: fewest and most lights.
+        lights: fewest and most lights; scenes are rendered under the most, their pixels seen under some of them.
         observations: P times K of ``"pixels"``, about.
         scenes: half of the samples of ``"pixels"`` stand in one of so many rendered scenes, whose parts shade and light
-            each other, under its 48 lights or some of them; the rest stand between made-up walls. A scene takes most of
-            a second when it is first needed and is kept.
+            each other; the rest stand between made-up walls. A scene under 100 lights takes about a second when it is
+            first needed and 1.2 MB to be kept, in every worker and rank.
         size: (H, W) of ``"images"``.
         meshes: (vertices, faces) of ``"images"`` and scenes; default: bumpy balls, rings and heaps of balls.
         device: where captures are made.
@@ -62,7 +62,8 @@ class SyntheticCaptures(IterableDataset[dict[str, Tensor]]):
         world: number of processes; the same.
 
     Raises:
-        RangeError: an unknown kind, fewer than 3 lights, fewer than 0 scenes, or a rank that is not below ``world``.
+        RangeError: an unknown kind, fewer than 3 lights, fewer than 0 scenes or scenes of ``"images"``, a rank that is
+            not below ``world``, or meshes that show nothing.
 
     Example:
         >>> import torch_orennayar as ton
@@ -92,8 +93,8 @@ class SyntheticCaptures(IterableDataset[dict[str, Tensor]]):
             raise RangeError("kind", expected="'pixels' or 'images'", got=repr(kind), mend="choose one")
         if not 3 <= lights[0] <= lights[1]:
             raise RangeError("lights", expected="fewest and most, 3 or more", got=str(lights), mend="put them in order")
-        if scenes < 0:
-            raise RangeError("scenes", expected="0 or more", got=str(scenes), mend="0 for none")
+        if scenes < 0 or (scenes and kind != "pixels"):
+            raise RangeError("scenes", expected="0 or more, of pixels", got=f"{scenes} of {kind}", mend="0 for none")
         self.kind, self.seed, self.start, self.length = kind, seed, start, length
         self.mix, self.lights, self.observations, self.size = mix or Ingredients(), lights, observations, size
         self.meshes, self.device = meshes, torch.device(device)
@@ -132,35 +133,29 @@ class SyntheticCaptures(IterableDataset[dict[str, Tensor]]):
         return min(most, int(draw.logarithmic(1, low=low, high=most + 1).item()))
 
     def _pixels(self, draw: Draw, count: int) -> dict[str, Tensor]:
-        if self.scenes and draw.uniform(1).item() < IN_SCENES:
-            return self._pixels_of_scene(draw, count)
-        pixels = max(1, self.observations // count)
-        lights, normal = draw_lights(draw, pixels, count), draw_normals(draw, pixels)
-        easy = draw.happens(self.mix.easy, pixels, 1)
-        reached, sent = stand_walls(draw, normal, lights, self.mix, easy)
-        return self._observe(draw, Scene(lights, normal, reached, sent), easy)
+        mix, pixels = self.mix, max(1, self.observations // count)
+        in_scene = self.scenes and draw.uniform(1).item() < IN_SCENES
+        easy = draw.happens(mix.easy, pixels, 1)
+        if in_scene:
+            lights, normal, reached, sent = self._in_scene(draw, pixels, count)
+            reached = torch.where(easy > 0, 1.0, reached) if mix.shadows else torch.ones_like(reached)
+            sent = sent * (1 - easy) * mix.bounce
+        else:
+            lights, normal = draw_lights(draw, pixels, count), draw_normals(draw, pixels)
+            reached, sent = stand_walls(draw, normal, lights, mix, easy)
+        observed = sense(draw, shade_pixels(draw, lights, normal, reached, sent, mix, easy), mix, easy)
+        return {"observed": observed, "lights": tell_lights(draw, lights, mix), "normal": normal}
 
-    def _pixels_of_scene(self, draw: Draw, count: int) -> dict[str, Tensor]:
+    def _in_scene(self, draw: Draw, pixels: int, count: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Pixels of a scene under some of its lights (P, K, 3), normals, what reaches them and what is sent, (P, K)."""
         number = min(int(draw.uniform(1).item() * self.scenes), self.scenes - 1)
         if number not in self._rendered:
-            self._rendered[number] = draw_scene(self._draw("scene", number), self.meshes)
+            self._rendered[number] = draw_scene(self._draw("scene", number), self.lights[1], self.meshes)
         scene = self._rendered[number]
         some = torch.randperm(len(scene.lights), generator=draw.generator, device=draw.device)[:count]
-        pixels = max(1, self.observations // len(some))
         which = torch.randint(len(scene.normal), (pixels,), generator=draw.generator, device=draw.device)
-        lights, normal = scene.lights[some].expand(pixels, -1, -1), scene.normal[which]
         reached, sent = (part[which][:, some] for part in (scene.reached, scene.sent))
-        if not self.mix.shadows:
-            reached = torch.ones_like(reached)
-        return self._observe(
-            draw, Scene(lights, normal, reached, sent * self.mix.bounce), draw.happens(self.mix.easy, pixels, 1)
-        )
-
-    def _observe(self, draw: Draw, scene: Scene, easy: Tensor) -> dict[str, Tensor]:
-        """What a camera sees of pixels, each of a material of its own."""
-        lights, normal = scene.lights, scene.normal
-        observed = sense(draw, shade_pixels(draw, *scene, self.mix, easy), self.mix, easy)
-        return {"observed": observed, "lights": tell_lights(draw, lights, self.mix), "normal": normal}
+        return scene.lights[some].expand(pixels, -1, -1), scene.normal[which], reached, sent
 
     def _images(self, draw: Draw, count: int) -> dict[str, Tensor]:
         mix = self.mix

@@ -18,10 +18,10 @@ from .synthetic_pixels import Draw, draw_lights
 
 Mesh = tuple[Tensor, Tensor]
 
-SIDE, SCENE_LIGHTS, KEPT = 80, 48, 1500
-"""Of a scene's picture, in pixels; lights; pixels that are kept."""
-TURNS = 8
-"""Of a mesh, until it shows something."""
+SIDE, KEPT = 80, 1500
+"""Of a scene's picture, in pixels; pixels of it that are kept."""
+TRIES = 8
+"""At drawing a mesh that shows something."""
 STEEPEST = 0.1
 """Least cosine of a kept pixel's normal to the view."""
 
@@ -42,22 +42,22 @@ class Scene(NamedTuple):
     sent: Tensor
 
 
-def draw_scene(draw: Draw, meshes: Sequence[Mesh] | None) -> Scene:
-    """A mesh of one albedo that casts shadows on itself and lights itself.
+def draw_scene(draw: Draw, count: int, meshes: Sequence[Mesh] | None) -> Scene:
+    """A mesh of one albedo that casts shadows on itself and lights itself, under ``count`` lights.
 
     Raises:
-        RangeError: however a given mesh is turned, it shows no pixel.
+        RangeError: meshes drawn one after the other show no pixel.
     """
-    for _ in range(TURNS):
-        scene = _render_scene(draw, *draw_mesh(draw, meshes))
+    for _ in range(TRIES):
+        scene = _render_scene(draw, count, *draw_mesh(draw, meshes))
         if len(scene.normal):
             return scene
-    raise RangeError("meshes", expected="faces to see", got="none from any side", mend="leave such meshes out")
+    raise RangeError("meshes", expected="faces to see", got=f"none in {TRIES} tries", mend="leave such meshes out")
 
 
-def _render_scene(draw: Draw, vertices: Tensor, faces: Tensor) -> Scene:
+def _render_scene(draw: Draw, count: int, vertices: Tensor, faces: Tensor) -> Scene:
     seen = render_normals(vertices, faces, Camera.orthographic(1.0), (SIDE, SIDE))
-    lights, surface = draw_lights(draw, 1, SCENE_LIGHTS)[0], SeenSurface.of(seen)
+    lights, surface = draw_lights(draw, 1, count)[0], SeenSurface.of(seen)
     reached = cast_shadows(vertices, faces, seen, lights, resolution=2 * SIDE)[:, 0, seen.mask[0, 0]].T
     irradiance = (surface.normal @ lights.T).clamp_min(0) * reached
     albedo = draw.uniform(1, 1, low=0.2, high=0.95).expand(len(reached), 1)
@@ -72,6 +72,7 @@ def draw_mesh(draw: Draw, meshes: Sequence[Mesh] | None = None) -> Mesh:
     if meshes:
         choice = min(int(draw.uniform(1).item() * len(meshes)), len(meshes) - 1)
         vertices, faces = (part.to(draw.device) for part in meshes[choice])
+        vertices = vertices.float()
     else:
         vertices, faces = _made_mesh(draw)
     turn = torch.linalg.qr(draw.normal(3, 3).cpu())[0].to(vertices)
