@@ -1,6 +1,6 @@
 """Train the photometric stereo network that ships with the package, on pixels shaded on the fly.
 
-Half of them stand in rendered scenes, whose parts shade and light each other; the rest between made-up walls.
+Most of them stand in rendered scenes, whose parts shade and light each other, the rest between made-up walls.
 
     python examples/train_photometric_stereo.py                          # laptop, one GPU: what there is is used
     torchrun --nproc-per-node 2 examples/train_photometric_stereo.py     # many processes, many machines
@@ -225,7 +225,7 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--steps", type=int, default=5200)
     parser.add_argument("--groups", type=int, default=8, help="samples of a step, shared by all processes")
     parser.add_argument("--observations", type=int, default=1536, help="pixels times lights of a sample")
-    parser.add_argument("--scenes", type=int, default=200, help="rendered scenes that half of the samples stand in")
+    parser.add_argument("--scenes", type=int, default=200, help="rendered scenes that most samples stand in")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--every", type=int, default=100, help="steps between checkpoints")
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
