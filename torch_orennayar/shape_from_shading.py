@@ -151,9 +151,12 @@ def shape_from_shading(
         _logit(scene.roughness.mean() / surface_fit.ROUGHEST),
         _logit(scene.ambient.mean() / surface_fit.STRONGEST_AMBIENT),
     )
-    start, report = _choose_side(scene, start, wish, sure=depth is not None or not contour)
-    report = [*reasons, *_say_light(scene), *report]
-    found, _ = surface_fit.fit(scene, start, wish, coarse=depth is None, show="shape from shading")
+    levels = surface_fit.coarse_to_fine(scene) if depth is None else [scene]
+    report = [*reasons, *_say_light(scene)]
+    if contour and depth is None:
+        start, alike = _choose_side(levels[0], start, wish)
+        levels, report = levels[1:] or levels, [*report, *alike]
+    found, _ = surface_fit.fit(levels, start, wish, show="shape from shading")
     return _result(scene, found, wish, inside, camera, report)
 
 
@@ -276,15 +279,11 @@ def _start(scene: Scene, depth: Tensor | None, camera: Camera | None, contour: b
     return torch.where(share > 1e-3, surface_fit.corners(height) / share, 0)
 
 
-def _choose_side(scene: Scene, start: Surface, wish: Wish, *, sure: bool) -> tuple[Surface, list[str]]:
-    """Try the start and its inside-out twin at a small size; which one goes on, and what to say of the other."""
-    if sure:
-        return start, []
-    small = scene
-    while min(small.mask.shape[1:]) >= 4 * surface_fit.COARSEST:
-        small = small.halved()
-    found, cost = surface_fit.fit(small, start, wish)
-    turned, other = surface_fit.fit(small, replace(start, height=-start.height), wish)
+def _choose_side(coarsest: Scene, start: Surface, wish: Wish) -> tuple[Surface, list[str]]:
+    """The surface at the smallest size, from the start or its inside-out twin, and what to say of the other."""
+    small = replace(coarsest, likely=None)
+    found, cost = surface_fit.fit([small], start, wish)
+    turned, other = surface_fit.fit([small], replace(start, height=-start.height), wish)
     alike = [
         "the same surface inside out, dents for bumps, explains the picture about as well: depth= or known= decides."
     ]

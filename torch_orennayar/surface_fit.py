@@ -7,7 +7,7 @@ of a pixel. So every pixel has a normal of its own from its four corners, and th
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
@@ -185,20 +185,24 @@ def inflate(mask: Tensor) -> Tensor:
     return corners(height[None, 1:-1, 1:-1])
 
 
-def fit(scene: Scene, start: Surface, wish: Wish, *, coarse: bool = True, show: str = "") -> tuple[Surface, float]:
-    """From coarse to fine, or at full size alone; the surface and its cost per pixel."""
+def coarse_to_fine(scene: Scene) -> list[Scene]:
+    """The scene at every size, the smallest first."""
     scenes = [scene]
-    while coarse and min(scenes[-1].mask.shape[1:]) >= 2 * COARSEST:
+    while min(scenes[-1].mask.shape[1:]) >= 2 * COARSEST:
         scenes.append(scenes[-1].halved())
+    return scenes[::-1]
+
+
+def fit(levels: Sequence[Scene], start: Surface, wish: Wish, show: str = "") -> tuple[Surface, float]:
+    """One size after the other, from a surface of any size; the surface at the last one and its cost per pixel."""
     surface = start
     cost, pull = math.nan, 0.0
-    levels = list(reversed(scenes))
-    for k, level in enumerate(track(levels, show, len(levels)) if show else levels):
+    for k, level in enumerate(track(levels, show) if show else levels):
         grown = surface.height.shape[1] - 1
         height = _resize(surface.height, _corners(level)) * (level.mask.shape[1] / grown)
         surface = replace(surface, height=height)
         surface, cost, left = _fit_level(level, surface, wish, pull)
-        if scene.likely is not None and k == max(len(levels) - 2, 0):  # fine enough to tell whether it is understood
+        if level.likely is not None and k == max(len(levels) - 2, 0):  # fine enough to tell whether it is understood
             pull = wish.silhouette * left**2 / (left**2 + MISUNDERSTOOD**4)
             if pull > NEGLIGIBLE:
                 surface, cost, _ = _fit_level(level, surface, wish, pull)
