@@ -10,7 +10,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from .bands import gather_directions
-from .neighbours import Grid, neighbourhood_normals
+from .neighbours import Grid
 from .pixel_graph import PixelGraph, Prepare
 from .progress import track
 from .set_network import SetNetwork, load_network
@@ -26,6 +26,8 @@ TRAINED_LIGHTS = 12
 """The fewest lights that it has seen."""
 OPSET = 20
 """The first with GELU in one piece, which makes the graph a quarter faster."""
+SUREST = 1e-3
+"""Least error of a normal that is reckoned with, radians."""
 CHUNK, CHUNK_ACCELERATOR = 1 << 13, 1 << 20
 """Observations at once: what fits in cache, and what keeps an accelerator busy."""
 
@@ -45,12 +47,22 @@ class Paint(nn.Module):
 
 
 class Smooth(nn.Module):
-    """Mean normal of a picture's pixels and their 8 neighbours, those of small error counting more."""
+    """Mean normal of a picture's pixels and their 8 neighbours.
+
+    Those of small error count more, and those that differ by more than both errors explain, as across an edge, less.
+    """
 
     def forward(self, normal_map: Tensor, error_map: Tensor) -> Tensor:
         """Normals (3, H, W), 0 outside the mask, errors (1, H, W)."""
-        weight = 1 / error_map.clamp(1e-3, 1e3).square()
-        return F.normalize(F.avg_pool2d((normal_map * weight)[None], 3, 1, 1)[0], dim=0)
+        both = torch.cat((normal_map, error_map))[None]
+        variance = error_map.clamp_min(SUREST).square()
+        total = torch.zeros_like(normal_map)
+        for shift in torch.eye(9).reshape(9, 1, 1, 3, 3):
+            there = F.conv2d(both, shift.to(both).expand(4, 1, 3, 3), padding=1, groups=4)[0]
+            normal, spread = there[:3], there[3:].clamp_min(SUREST).square()
+            apart = (normal - normal_map).square().sum(0, keepdim=True)
+            total = total + normal * (torch.exp(-0.5 * apart / (variance + spread)) / spread)
+        return F.normalize(total, dim=0)
 
 
 def solve_network(
@@ -72,12 +84,12 @@ def solve_network(
             seen, directions = look(chunk)
             found.append(network(Prepare()(seen)[0], directions))
         normal, error = (torch.cat(values) for values in zip(*found, strict=True))
-        normal = neighbourhood_normals(normal, error, grid)
+        error = error.clamp_max(math.pi / 2)
+        normal = Smooth()(grid.draw(normal), grid.draw(error)).flatten(1)[:, place].T
         painted = [
             Paint()(*look(chunk), part) for chunk, part in zip(chunks, normal.split(chunks[0].shape[0]), strict=True)
         ]
     albedo, residual = (torch.cat(values) for values in zip(*painted, strict=True))
-    error = error.clamp_max(math.pi / 2)
     return {
         "normal": grid.draw(normal),
         "albedo": grid.draw(albedo),
