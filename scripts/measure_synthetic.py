@@ -2,8 +2,8 @@
 
     python scripts/measure_synthetic.py [--output out/synthetic] [--device cpu]
 
-Samples per second of `SyntheticCaptures`, both kinds; a contact sheet of pictures with their truth; bytes and steps of
-`examples/train_photometric_stereo.py` on 1 to 64 processes, reckoned from the size of the network.
+Samples per second of `SyntheticCaptures`, both kinds; seconds of a scene; a contact sheet of pictures with their truth;
+bytes and steps of `examples/train_photometric_stereo.py` on 1 to 64 processes, reckoned from the size of the network.
 """
 
 from __future__ import annotations
@@ -19,6 +19,8 @@ from example_code import load
 from torch_orennayar import SyntheticCaptures
 from torch_orennayar.figures import save_sheet, show_light, show_normals
 from torch_orennayar.set_network import load_network
+from torch_orennayar.synthetic_pixels import Draw
+from torch_orennayar.synthetic_scenes import draw_scene
 
 LINK = 12.5e9
 """Bytes a second of a link of 100 Gb/s."""
@@ -38,6 +40,14 @@ def speed(captures: SyntheticCaptures, seconds: float) -> tuple[float, float]:
         count += 1
     spent = time.perf_counter() - begun
     return count / spent, seen / spent
+
+
+def scene_seconds(device: str, scenes: int = 5) -> float:
+    """Seconds that a scene under 100 lights takes to be rendered."""
+    begun = time.perf_counter()
+    for seed in range(scenes):
+        draw_scene(Draw(seed, device), 100, None)
+    return (time.perf_counter() - begun) / scenes
 
 
 def contact_sheet(path: Path) -> None:
@@ -99,6 +109,7 @@ def main() -> None:
     }.items():  # fmt: skip
         samples, seen = speed(captures, options.seconds)
         print(f"{name:30}{samples:10.1f} samples/s{seen / 1e6:10.2f} million observations/s")
+    print(f"a scene under 100 lights for pixels to stand in: {scene_seconds(options.device):.2f} s")
     contact_sheet(options.output / "captures.png")
     scaling()
     print(f"look at {options.output / 'captures.png'}")
