@@ -222,10 +222,10 @@ def write_curve(file: Path, rows: list[list[str]]) -> None:
 def parse(arguments: list[str] | None = None) -> argparse.Namespace:
     """The command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--steps", type=int, default=5200)
+    parser.add_argument("--steps", type=int, default=5500)
     parser.add_argument("--groups", type=int, default=8, help="samples of a step, shared by all processes")
     parser.add_argument("--observations", type=int, default=1536, help="pixels times lights of a sample")
-    parser.add_argument("--scenes", type=int, default=200, help="rendered scenes that most samples stand in")
+    parser.add_argument("--scenes", type=int, default=400, help="rendered scenes that most samples stand in")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--every", type=int, default=100, help="steps between checkpoints")
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")

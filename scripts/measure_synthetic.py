@@ -20,7 +20,7 @@ from torch_orennayar import SyntheticCaptures
 from torch_orennayar.figures import save_sheet, show_light, show_normals
 from torch_orennayar.set_network import load_network
 from torch_orennayar.synthetic_pixels import Draw
-from torch_orennayar.synthetic_scenes import draw_scene
+from torch_orennayar.synthetic_scenes import SCENE_LIGHTS, draw_scene
 
 LINK = 12.5e9
 """Bytes a second of a link of 100 Gb/s."""
@@ -43,10 +43,10 @@ def speed(captures: SyntheticCaptures, seconds: float) -> tuple[float, float]:
 
 
 def scene_seconds(device: str, scenes: int = 5) -> float:
-    """Seconds that a scene under 100 lights takes to be rendered."""
+    """Seconds that a scene takes to be rendered."""
     begun = time.perf_counter()
     for seed in range(scenes):
-        draw_scene(Draw(seed, device), 100, None)
+        draw_scene(Draw(seed, device), SCENE_LIGHTS, None)
     return (time.perf_counter() - begun) / scenes
 
 
@@ -109,7 +109,7 @@ def main() -> None:
     }.items():  # fmt: skip
         samples, seen = speed(captures, options.seconds)
         print(f"{name:30}{samples:10.1f} samples/s{seen / 1e6:10.2f} million observations/s")
-    print(f"a scene under 100 lights for pixels to stand in: {scene_seconds(options.device):.2f} s")
+    print(f"a scene under {SCENE_LIGHTS} lights for pixels to stand in: {scene_seconds(options.device):.2f} s")
     contact_sheet(options.output / "captures.png")
     scaling()
     print(f"look at {options.output / 'captures.png'}")

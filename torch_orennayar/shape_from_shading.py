@@ -281,9 +281,8 @@ def _start(scene: Scene, depth: Tensor | None, camera: Camera | None, contour: b
 
 def _choose_side(coarsest: Scene, start: Surface, wish: Wish) -> tuple[Surface, list[str]]:
     """The surface at the smallest size, from the start or its inside-out twin, and what to say of the other."""
-    small = replace(coarsest, likely=None)
-    found, cost = surface_fit.fit([small], start, wish)
-    turned, other = surface_fit.fit([small], replace(start, height=-start.height), wish)
+    found, cost = surface_fit.fit([coarsest], start, wish)
+    turned, other = surface_fit.fit([coarsest], replace(start, height=-start.height), wish)
     alike = [
         "the same surface inside out, dents for bumps, explains the picture about as well: depth= or known= decides."
     ]

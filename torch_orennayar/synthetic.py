@@ -28,7 +28,7 @@ from .synthetic_pixels import (
     stand_walls,
     tell_lights,
 )
-from .synthetic_scenes import Mesh, Scene, draw_mesh, draw_scene
+from .synthetic_scenes import SCENE_LIGHTS, Mesh, Scene, draw_mesh, draw_scene
 
 IN_SCENES = 0.8
 """Share of samples of pixels that stand in scenes, where there are any."""
@@ -50,11 +50,11 @@ class SyntheticCaptures(IterableDataset[dict[str, Tensor]]):
         start: index of the first capture.
         length: number of captures, over all ranks; default endless.
         mix: what captures are made of; `Ingredients`.
-        lights: fewest and most lights; scenes are rendered under the most, their pixels seen under some of them.
+        lights: fewest and most lights; in scenes 48 at most.
         observations: P times K of ``"pixels"``, about.
         scenes: four in five samples of ``"pixels"`` stand in one of so many rendered scenes, whose parts shade and
-            light each other, the fifth between made-up walls. A scene under 100 lights takes about a second when it is
-            first needed and 1.2 MB to be kept, in every worker and rank.
+            light each other, the fifth between made-up walls. A scene takes most of a second when it is first needed
+            and .6 MB to be kept, in every worker and rank.
         size: (H, W) of ``"images"``.
         meshes: (vertices, faces) of ``"images"`` and scenes; default: bumpy balls, rings and heaps of balls.
         device: where captures are made.
@@ -62,8 +62,8 @@ class SyntheticCaptures(IterableDataset[dict[str, Tensor]]):
         world: number of processes; the same.
 
     Raises:
-        RangeError: an unknown kind, fewer than 3 lights, fewer than 0 scenes or scenes of ``"images"``, a rank that is
-            not below ``world``, or meshes that show nothing.
+        RangeError: an unknown kind, fewer than 3 lights, or more than 48 in scenes, fewer than 0 scenes or scenes of
+            ``"images"``, a rank that is not below ``world``, or meshes that show nothing.
 
     Example:
         >>> import torch_orennayar as ton
@@ -93,6 +93,9 @@ class SyntheticCaptures(IterableDataset[dict[str, Tensor]]):
             raise RangeError("kind", expected="'pixels' or 'images'", got=repr(kind), mend="choose one")
         if not 3 <= lights[0] <= lights[1]:
             raise RangeError("lights", expected="fewest and most, 3 or more", got=str(lights), mend="put them in order")
+        if scenes and lights[0] > SCENE_LIGHTS:
+            most = f"at most {SCENE_LIGHTS} at least, in scenes"
+            raise RangeError("lights", expected=most, got=str(lights), mend="ask for fewer, or for no scenes")
         if scenes < 0 or (scenes and kind != "pixels"):
             raise RangeError("scenes", expected="0 or more, of pixels", got=f"{scenes} of {kind}", mend="0 for none")
         self.kind, self.seed, self.start, self.length = kind, seed, start, length
@@ -133,15 +136,16 @@ class SyntheticCaptures(IterableDataset[dict[str, Tensor]]):
         return min(most, int(draw.logarithmic(1, low=low, high=most + 1).item()))
 
     def _pixels(self, draw: Draw, count: int) -> dict[str, Tensor]:
-        mix, pixels = self.mix, max(1, self.observations // count)
+        mix = self.mix
         in_scene = self.scenes and draw.uniform(1).item() < IN_SCENES
-        easy = draw.happens(mix.easy, pixels, 1)
+        count = min(count, SCENE_LIGHTS) if in_scene else count
+        pixels = max(1, self.observations // count)
         if in_scene:
             lights, normal, reached, sent = self._in_scene(draw, pixels, count)
-            reached = torch.where(easy > 0, 1.0, reached) if mix.shadows else torch.ones_like(reached)
-            sent = sent * (1 - easy) * mix.bounce
+            easy = draw.happens(mix.easy, pixels, 1)
         else:
             lights, normal = draw_lights(draw, pixels, count), draw_normals(draw, pixels)
+            easy = draw.happens(mix.easy, pixels, 1)
             reached, sent = stand_walls(draw, normal, lights, mix, easy)
         observed = sense(draw, shade_pixels(draw, lights, normal, reached, sent, mix, easy), mix, easy)
         return {"observed": observed, "lights": tell_lights(draw, lights, mix), "normal": normal}
@@ -150,12 +154,15 @@ class SyntheticCaptures(IterableDataset[dict[str, Tensor]]):
         """Pixels of a scene under some of its lights (P, K, 3), normals, what reaches them and what is sent, (P, K)."""
         number = min(int(draw.uniform(1).item() * self.scenes), self.scenes - 1)
         if number not in self._rendered:
-            self._rendered[number] = draw_scene(self._draw("scene", number), self.lights[1], self.meshes)
+            self._rendered[number] = draw_scene(
+                self._draw("scene", number), min(self.lights[1], SCENE_LIGHTS), self.meshes
+            )
         scene = self._rendered[number]
         some = torch.randperm(len(scene.lights), generator=draw.generator, device=draw.device)[:count]
         which = torch.randint(len(scene.normal), (pixels,), generator=draw.generator, device=draw.device)
         reached, sent = (part[which][:, some] for part in (scene.reached, scene.sent))
-        return scene.lights[some].expand(pixels, -1, -1), scene.normal[which], reached, sent
+        reached = reached if self.mix.shadows else torch.ones_like(reached)
+        return scene.lights[some].expand(pixels, -1, -1), scene.normal[which], reached, sent * self.mix.bounce
 
     def _images(self, draw: Draw, count: int) -> dict[str, Tensor]:
         mix = self.mix

@@ -46,7 +46,7 @@ class Ingredients:
         clipped: share of saturated pixels.
         outliers: share of captures in which some photographs are capped or of wrong brightness.
         bits: fewest and most bits of a pixel's brightest value.
-        easy: share of pixels without shadows, sheen and outliers, and with little noise.
+        easy: share of pixels without walls, sheen and outliers, and with little noise; what stands in scenes stays.
     """
 
     roughest: float = 1.0

@@ -18,8 +18,8 @@ from .synthetic_pixels import Draw, draw_lights
 
 Mesh = tuple[Tensor, Tensor]
 
-SIDE, KEPT = 80, 1500
-"""Of a scene's picture, in pixels; pixels of it that are kept."""
+SIDE, SCENE_LIGHTS, KEPT = 80, 48, 1500
+"""Of a scene's picture, in pixels; most lights; pixels that are kept."""
 TRIES = 8
 """At drawing a mesh that shows something."""
 STEEPEST = 0.1
