@@ -137,12 +137,15 @@ def shape_from_shading(
         )
     inside = _check(image, light, mask, {"depth": depth, "known": known})
     scene = _scene(image, light, inside, albedo, roughness, ambient, known, camera)
+    full, window = (inside.shape[1], inside.shape[2]), _window(inside)
+    scene = scene.cropped(*window)
     reasons = []
     if model == "auto":
         model = _simplest(scene, albedo is None, roughness is None)
         reasons.append(model.reason)
     wish = Wish(str(model), contour, smoothness, silhouette, albedo is None, roughness is None, ambient is None)
-    height = _start(scene, depth, camera, contour)
+    there = None if depth is None else _to_height(depth.to(scene.image), camera, full)[:, window[0], window[1]]
+    height = _start(scene, there, contour)
     if contour and depth is None:
         scene = replace(scene, likely=surface_fit.normals(height, None, 1.0))
     start = Surface(
@@ -157,7 +160,7 @@ def shape_from_shading(
         start, alike = _choose_side(levels[0], start, wish)
         levels, report = levels[1:] or levels, [*report, *alike]
     found, _ = surface_fit.fit(levels, start, wish, show="shape from shading")
-    return _result(scene, found, wish, inside, camera, report)
+    return _result(scene, found, wish, camera, full, window, report)
 
 
 def _scene(
@@ -269,11 +272,16 @@ def _to_depth(height: Tensor, camera: Camera | None, size: tuple[int, int]) -> T
     return distance.exp() if camera.is_perspective else distance
 
 
-def _start(scene: Scene, depth: Tensor | None, camera: Camera | None, contour: bool) -> Tensor:
-    """Heights of corners to begin with."""
-    if depth is None:
+def _window(inside: Tensor) -> tuple[slice, slice]:
+    """Rows and columns that the mask reaches: nothing else costs time."""
+    rows, columns = (inside[0].any(axis).nonzero().flatten().tolist() for axis in (1, 0))
+    return slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+
+
+def _start(scene: Scene, height: Tensor | None, contour: bool) -> Tensor:
+    """Heights of corners to begin with, from those of pixels where they are told."""
+    if height is None:
         return surface_fit.inflate(scene.mask) if contour else torch.zeros_like(surface_fit.corners(scene.mask))
-    height = _to_height(depth.to(scene.image), camera, (scene.mask.shape[1], scene.mask.shape[2]))
     height = torch.where(scene.mask > 0, height, 0)
     share = surface_fit.corners(scene.mask).clamp_min(1e-6)
     return torch.where(share > 1e-3, surface_fit.corners(height) / share, 0)
@@ -282,7 +290,8 @@ def _start(scene: Scene, depth: Tensor | None, camera: Camera | None, contour: b
 def _choose_side(coarsest: Scene, start: Surface, wish: Wish) -> tuple[Surface, list[str]]:
     """The surface at the smallest size, from the start or its inside-out twin, and what to say of the other."""
     found, cost = surface_fit.fit([coarsest], start, wish)
-    turned, other = surface_fit.fit([coarsest], replace(start, height=-start.height), wish)
+    twin = replace(start, height=-start.height)
+    turned, other = surface_fit.fit([coarsest], twin, wish, most=cost * ALIKE)
     alike = [
         "the same surface inside out, dents for bumps, explains the picture about as well: depth= or known= decides."
     ]
@@ -309,10 +318,16 @@ def _say_light(scene: Scene) -> list[str]:
 
 
 def _result(
-    scene: Scene, found: Surface, wish: Wish, inside: Tensor, camera: Camera | None, report: list[str]
+    scene: Scene,
+    found: Surface,
+    wish: Wish,
+    camera: Camera | None,
+    size: tuple[int, int],
+    window: tuple[slice, slice],
+    report: list[str],
 ) -> Reconstruction:
-    """Maps of the surface."""
-    size = (inside.shape[1], inside.shape[2])
+    """Maps of the surface in the whole picture of ``size``."""
+    inside = scene.mask > 0
     with torch.enable_grad():
         normal = surface_fit.normals(found.height, scene.rays, scene.pixel).detach().requires_grad_()
         shaded = surface_fit.shade(scene, found, normal, wish)
@@ -339,12 +354,14 @@ def _result(
         report.append("albedo and roughness together are not told by one picture.")
     if not wish.contour:
         report.append("no occluding contour: a slant of the whole surface shows only as brightness.")
-    dark = int((surface_fit.above_ambient(scene, found, wish) < surface_fit.LIT * scene.unit)[inside].sum())
+    dark = int((inside & ~surface_fit.lit(scene, found, wish)).sum())
     if dark:
         report.append(f"{dark} pixels are in shadow: there the surface goes on smoothly, and confidence is low.")
 
     def kept(values: Tensor) -> Tensor:
-        return torch.where(inside, values.expand(-1, *size), 0)
+        whole = values.new_zeros(len(values), *size)
+        whole[:, window[0], window[1]] = torch.where(inside, values, 0)
+        return whole
 
     return Reconstruction(
         normal=kept(normal),

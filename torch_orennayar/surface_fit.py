@@ -15,8 +15,9 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from . import evaluation
 from .progress import track
-from .shading import oren_nayar
+from .reflectance import get_model
 
 COARSEST = 24
 """Levels are halved while the shorter side stays at least as long as this."""
@@ -84,6 +85,28 @@ class Scene:
     pixel: float
     likely: Tensor | None
     noise: float
+
+    def cropped(self, rows: slice, columns: slice) -> Scene:
+        """The part in a window."""
+
+        def cut(values: Tensor, corners: int = 0) -> Tensor:
+            if values.shape[1:] == (1, 1):
+                return values
+            return values[:, rows.start : rows.stop + corners, columns.start : columns.stop + corners]
+
+        return replace(
+            self,
+            image=cut(self.image),
+            mask=cut(self.mask),
+            light=cut(self.light),
+            view=cut(self.view),
+            rays=None if self.rays is None else cut(self.rays, 1),
+            albedo=cut(self.albedo),
+            roughness=cut(self.roughness),
+            ambient=cut(self.ambient),
+            known=cut(self.known),
+            likely=None if self.likely is None else cut(self.likely),
+        )
 
     def halved(self) -> Scene:
         """Every four pixels as one; heights are halved with the pixels."""
@@ -193,8 +216,13 @@ def coarse_to_fine(scene: Scene) -> list[Scene]:
     return scenes[::-1]
 
 
-def fit(levels: Sequence[Scene], start: Surface, wish: Wish, show: str = "") -> tuple[Surface, float]:
-    """One size after the other, from a surface of any size; the surface at the last one and its cost per pixel."""
+def fit(
+    levels: Sequence[Scene], start: Surface, wish: Wish, show: str = "", most: float = math.inf
+) -> tuple[Surface, float]:
+    """One size after the other, from a surface of any size; the surface at the last one and its cost per pixel.
+
+    What costs ``most`` before the silhouette's normals are asked, is not solved again with them: they add to it.
+    """
     surface = start
     cost, pull = math.nan, 0.0
     for k, level in enumerate(track(levels, show) if show else levels):
@@ -204,7 +232,7 @@ def fit(levels: Sequence[Scene], start: Surface, wish: Wish, show: str = "") -> 
         surface, cost, left = _fit_level(level, surface, wish, pull)
         if level.likely is not None and k == max(len(levels) - 2, 0):  # fine enough to tell whether it is understood
             pull = wish.silhouette * left**2 / (left**2 + MISUNDERSTOOD**4)
-            if pull > NEGLIGIBLE:
+            if pull > NEGLIGIBLE and cost < most:
                 surface, cost, _ = _fit_level(level, surface, wish, pull)
     return surface, cost
 
@@ -224,21 +252,21 @@ def unknowns(scene: Scene, surface: Surface, wish: Wish) -> tuple[Tensor, Tensor
 def shade(scene: Scene, surface: Surface, normal: Tensor, wish: Wish) -> Tensor:
     """The picture of a surface, (C, H, W)."""
     albedo, roughness, ambient = unknowns(scene, surface, wish)
-    light, view = scene.light[None], scene.view[None]
-    direct = oren_nayar(normal[None], light, view, albedo[None], roughness[None], model=wish.model)[0]
-    return direct + albedo * ambient
+    parts = normal, scene.light, scene.view, albedo, roughness, None
+    return evaluation.shade(get_model(wish.model), parts, -3, normal.dtype) + albedo * ambient
 
 
-def above_ambient(scene: Scene, surface: Surface, wish: Wish) -> Tensor:
-    """What the light itself adds to the picture, (1, H, W), mean of the channels."""
+def lit(scene: Scene, surface: Surface, wish: Wish) -> Tensor:
+    """Pixels to which the light itself adds something, (1, H, W) bool."""
     albedo, _, ambient = unknowns(scene, surface, wish)
-    return (scene.image - albedo * ambient).mean(0, keepdim=True)
+    added = (scene.image - albedo * ambient).mean(0, keepdim=True)
+    return (added >= LIT * scene.unit) & (scene.mask > 0)
 
 
 def _fit_level(scene: Scene, start: Surface, wish: Wish, pull: float) -> tuple[Surface, float, float]:
     """One size: the surface, its cost per pixel, and the variance that it leaves beyond the picture's noise."""
     with torch.enable_grad():
-        terms = _Terms.of(scene, wish)
+        terms = _Terms.of(scene, start, wish)
         shapes = [tuple(start.height.shape[1:])]
         for _ in range(SCALES - 1):
             shapes.append(((shapes[-1][0] + 1) // 2, (shapes[-1][1] + 1) // 2))
@@ -294,7 +322,7 @@ def _one_thread(wanted: bool) -> Iterator[None]:
 
 @dataclass(frozen=True)
 class _Terms:
-    """The cost of a surface."""
+    """The cost of a surface; ``lit`` is None where it changes with what is sought."""
 
     scene: Scene
     wish: Wish
@@ -302,9 +330,10 @@ class _Terms:
     outward: Tensor
     across: Tensor
     along: Tensor
+    lit: Tensor | None
 
     @staticmethod
-    def of(scene: Scene, wish: Wish) -> _Terms:
+    def of(scene: Scene, start: Surface, wish: Wish) -> _Terms:
         mask = scene.mask
         blurred = mask[None]
         for radius in (3, 2):
@@ -324,6 +353,7 @@ class _Terms:
             outward,
             mask[:, :, 1:] * mask[:, :, :-1],
             mask[:, 1:] * mask[:, :-1],
+            None if wish.free_albedo or wish.free_ambient else lit(scene, start, wish),
         )
 
     def missed(self, surface: Surface, normal: Tensor) -> Tensor:
@@ -354,8 +384,8 @@ class _Terms:
             slant = (normal[:2] * mask).flatten(1).sum(1) / mask.sum().clamp_min(1)
             total = total + LEVEL * slant.square().sum() * mask.sum()
         away = -(normal * scene.light).sum(0, keepdim=True)
-        lit = (above_ambient(scene, surface, self.wish) > LIT * scene.unit) * mask
-        total = total + UNLIT * (away.clamp_min(0).square() * lit).sum()
+        bright = lit(scene, surface, self.wish) if self.lit is None else self.lit
+        total = total + UNLIT * (away.clamp_min(0).square() * bright).sum()
         sure = scene.known.isfinite()
         if bool(sure.any()):
             total = total + KNOWN * (centres(z) - scene.known.nan_to_num(0)).square().mul(sure).sum()
