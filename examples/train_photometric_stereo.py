@@ -24,12 +24,13 @@ from typing import Any
 import torch
 import torch.distributed as dist
 from torch import Tensor
+from torch.utils.data import DataLoader
 
 from torch_orennayar import SyntheticCaptures, TorchOrenNayarError
 from torch_orennayar.errors import FileError
 from torch_orennayar.files import atomic_path
 from torch_orennayar.progress import track
-from torch_orennayar.set_network import SetNetwork, save_network
+from torch_orennayar.set_network import SetNetwork, make_tokens, save_network
 
 RATE, DECAY, AVERAGE, CLIP = 2e-3, 1e-3, 0.995, 1.0
 WARM_UP = 100
@@ -56,15 +57,14 @@ class Training:
         share = torch.tensor((step - WARM_UP) / max(1, self.options.steps - WARM_UP))
         return float(0.01 + 0.495 * (1 + torch.cos(torch.pi * share.clamp_max(1))))
 
-    def run_step(self, samples: SyntheticCaptures, rank: int, world: int) -> tuple[float, float]:
-        """One step over this process's share of the groups; mean loss and error in degrees over all."""
+    def run_step(self, samples: Iterator[dict[str, Tensor]], world: int) -> Tensor:
+        """One step over this process's share of the groups; mean loss and error in degrees over all, (2,)."""
         groups = self.options.groups
         self.optimiser.zero_grad()
         sums = torch.zeros(2, device=self.device)
-        for group in range(rank, groups, world):
-            sample = samples.sample(self.step * groups + group)
-            with torch.autocast(self.device.type, torch.bfloat16, enabled=self.device.type == "cuda"):
-                loss, degrees = losses(self.network, sample)
+        for _ in range(groups // world):
+            sample = {name: value.to(self.device, non_blocking=True) for name, value in next(samples).items()}
+            loss, degrees = losses(self.network, sample)
             (loss / groups).backward()
             sums += torch.stack((loss.detach(), degrees)) / groups
         if world > 1:
@@ -81,9 +81,8 @@ class Training:
         self.step += 1
         with torch.no_grad():
             keep = min(AVERAGE, self.step / (self.step + 10))
-            for mean, value in zip(self.average.parameters(), self.network.parameters(), strict=True):
-                mean.lerp_(value, 1 - keep)
-        return float(sums[0]), float(sums[1])
+            torch._foreach_lerp_(list(self.average.parameters()), list(self.network.parameters()), 1 - keep)
+        return sums
 
     def state(self) -> dict[str, Any]:
         """What is needed to go on."""
@@ -105,7 +104,9 @@ class Training:
 
 def losses(network: SetNetwork, sample: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
     """Length of the normal's error plus what its own forecast of it is worth, and the error in degrees."""
-    normal, doubt = network(sample["observed"], sample["lights"])
+    tokens = make_tokens(sample["observed"], sample["lights"])
+    with torch.autocast(tokens.values.device.type, torch.bfloat16, enabled=tokens.values.is_cuda):
+        normal, doubt = network.read(tokens)
     missed = (normal.float() - sample["normal"]).square().sum(1).add(1e-12).sqrt()
     doubt = doubt.float()[:, 0]
     forecast = (missed.detach() / doubt + doubt.log()).mean()  # Laplace's likelihood
@@ -162,7 +163,8 @@ def processes() -> Iterator[tuple[int, int]]:
     if "RANK" not in os.environ:
         yield 0, 1
         return
-    dist.init_process_group("nccl" if torch.cuda.is_available() else "gloo")
+    shared = int(os.environ.get("LOCAL_WORLD_SIZE", "1")) > torch.cuda.device_count()  # NCCL wants a GPU each
+    dist.init_process_group("gloo" if shared else "nccl")
     try:
         yield dist.get_rank(), dist.get_world_size()
     finally:
@@ -177,23 +179,26 @@ def train(options: argparse.Namespace) -> Training:
         if options.groups % world:
             raise SystemExit(f"--groups {options.groups} cannot be shared evenly by {world} processes")
         if options.device == "cuda":
-            torch.cuda.set_device(int(os.environ.get("LOCAL_RANK", "0")))
+            torch.cuda.set_device(int(os.environ.get("LOCAL_RANK", "0")) % torch.cuda.device_count())
         training = Training(options)
         resume(folder, training)
-        samples = SyntheticCaptures(
+        source = SyntheticCaptures(
             "pixels",
             seed=options.seed,
+            start=training.step * options.groups,
             observations=options.observations,
             scenes=options.scenes,
-            device=options.device,
         )
+        if options.workers:
+            source.render_scenes(options.workers)
+        samples = iter(DataLoader(source, batch_size=None, num_workers=options.workers))
         begun, spent = time.perf_counter(), time.process_time()
         kept = [row for row in read_curve(folder / "curve.csv") if int(row[0]) <= training.step]
-        means: list[tuple[float, float]] = []
+        means: list[Tensor] = []
         for _ in track(range(options.steps - training.step), "training"):
-            means.append(training.run_step(samples, rank, world))
+            means.append(training.run_step(samples, world))
             if rank == 0 and (training.step % options.every == 0 or training.step == options.steps):
-                loss, degrees = (sum(values) / len(means) for values in zip(*means, strict=True))
+                loss, degrees = torch.stack(means).double().mean(0).tolist()
                 seconds = time.perf_counter() - begun
                 kept.append([str(training.step), f"{loss:.6f}", f"{degrees:.3f}", f"{seconds:.1f}"])
                 means = []
@@ -229,11 +234,17 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--every", type=int, default=100, help="steps between checkpoints")
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
+    parser.add_argument(
+        "--workers", type=int, help="processes that make samples; default: none, for a GPU all its cores"
+    )
     parser.add_argument("--threads", type=int, default=0, help="of each process; default: torch's choice")
     parser.add_argument("-o", "--output", type=Path, default=Path("out/train"))
     options = parser.parse_args(arguments)
     if options.threads:
         torch.set_num_threads(options.threads)
+    if options.workers is None:
+        cores = (os.cpu_count() or 1) // int(os.environ.get("LOCAL_WORLD_SIZE", "1"))
+        options.workers = max(1, cores - 1) if options.device == "cuda" else 0
     return options
 
 

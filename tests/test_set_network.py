@@ -161,12 +161,11 @@ def test_graph_equals_torch_and_repeats_to_the_bit(graph: Path, rough: Scene) ->
 
 
 def test_graph_keeps_what_makes_it_fast_in_one_piece(graph: Path) -> None:
-    """Products with their biases, and activations: a node each."""
+    """Products with their biases are a node each; what is normalised are pixels, not every light of theirs."""
     described = ton.export.describe_onnx(graph)
-    assert described["opset"] == 20
-    assert described["operators"]["Gelu"] == 12
     assert described["operators"]["Gemm"] >= 22
-    assert "Erf" not in described["operators"]
+    assert described["operators"]["Relu"] >= 12
+    assert described["operators"]["LayerNormalization"] == 5
 
 
 @pytest.mark.parametrize(("name", "bar"), [("ball", 1.5), ("cat", 4.2), ("reading", 10.6)])

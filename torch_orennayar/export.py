@@ -72,7 +72,7 @@ def export_onnx(
     A module of your own, with `OrenNayar` in it or without, takes ``example_inputs``; every axis that it allows to
     differ is dynamic, but for those of size 1 in the example. It is exported in evaluation mode.
 
-    Linear light, roughness in radians; opset 18, the network's 20. Meaning and units are in the file's metadata.
+    Linear light, roughness in radians; opset 18. Meaning and units are in the file's metadata.
 
     Args:
         what: ``"shading"``, ``"renderer"``, ``"shaded_mesh"``, ``"stereo"`` or a module.

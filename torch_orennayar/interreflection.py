@@ -74,11 +74,11 @@ class Glow:
         return left
 
     def at(self, images: Tensor, picked: Tensor) -> Tensor:
-        """That light at P pixels, (P, K), grey."""
+        """That light at P pixels, (P, C, K)."""
         width = images.shape[3]
         places = self._places(picked // width, picked % width)
         mean = images.flatten(2)[:, :, picked].to(self.share).mean(0).clamp_min(0)
-        return (self.strength * _sampled(self.share, places[None])[:, :, 0] * mean).mean(1).T
+        return (self.strength * _sampled(self.share, places[None])[:, :, 0] * mean).permute(2, 1, 0)
 
     def _places(self, rows: Tensor, columns: Tensor) -> Tensor:
         """Pixels in grid_sample's units, (..., 2)."""
@@ -103,7 +103,7 @@ def choose_glow(
     glow = find_glow(images, lights, inside)
     generator = torch.Generator().manual_seed(seed)
     picked = place[torch.randperm(len(place), generator=generator)[:LOOKED_AT].to(place.device)]
-    received, grey = glow.at(images, picked), gather(images, picked)
+    received, grey = glow.at(images, picked).mean(1), gather(images, picked)
     share = received.mean(1) / robust_fit.mean_of(grey)[:, 0]
     hollow = (share > NOTABLE).nonzero().flatten()[:SAMPLE_PIXELS]
     if len(hollow) < FEWEST:

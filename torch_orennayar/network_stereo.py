@@ -20,12 +20,12 @@ from .stereo_graph import middle_ranks
 if TYPE_CHECKING:
     import onnx
 
+    from .interreflection import Glow
+
 NETWORK = "network"
 """The name that `photometric_stereo` takes."""
 TRAINED_LIGHTS = 12
 """The fewest lights that it has seen."""
-OPSET = 20
-"""The first with GELU in one piece, which makes the graph a quarter faster."""
 SUREST = 1e-3
 """Least error of a normal that is reckoned with, radians."""
 CHUNK, CHUNK_ACCELERATOR = 1 << 13, 1 << 20
@@ -66,9 +66,12 @@ class Smooth(nn.Module):
 
 
 def solve_network(
-    images: Tensor, lights: Tensor, inside: Tensor, network: SetNetwork | None = None
+    images: Tensor, lights: Tensor, inside: Tensor, network: SetNetwork | None = None, glow: Glow | None = None
 ) -> dict[str, Tensor]:
-    """Maps (C, H, W) as of `solve_bands`: the network's normals, smoothed, and Lambert's albedo under them."""
+    """Maps (C, H, W) as of `solve_bands`: the network's normals, smoothed, and Lambert's albedo under them.
+
+    ``glow``, light that parts of the surface send each other, is taken away first.
+    """
     network = (network or load_network()).to(images.device)
     dtype = next(network.parameters()).dtype
     grid, place, flat = Grid(inside), inside.flatten().nonzero().flatten(), images.flatten(2)
@@ -76,7 +79,10 @@ def solve_network(
     chunks = place.split(max(1, most // len(images)))
 
     def look(chunk: Tensor) -> tuple[Tensor, Tensor]:
-        return flat[:, :, chunk].permute(2, 1, 0).to(dtype), gather_directions(lights, chunk).to(dtype)
+        seen = flat[:, :, chunk].permute(2, 1, 0).to(dtype)
+        if glow:
+            seen = (seen - glow.at(images, chunk)).clamp_min(0).to(dtype)
+        return seen, gather_directions(lights, chunk).to(dtype)
 
     with torch.no_grad():
         found = []
@@ -106,7 +112,7 @@ def network_graph() -> onnx.ModelProto:
     from onnx import TensorProto, helper
 
     graph = PixelGraph(
-        {"chunk": [CHUNK], "turn_back": [-1, 3], "column": [-1, 1], "step": 1, "right_angle": [math.pi / 2]}, OPSET
+        {"chunk": [CHUNK], "turn_back": [-1, 3], "column": [-1, 1], "step": 1, "right_angle": [math.pi / 2]}
     )
     add = graph.add
     grey, _ = graph.inline(graph.trace(Prepare(), ("seen",), 2), "prepare_", (graph.seen,))

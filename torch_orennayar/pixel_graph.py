@@ -9,7 +9,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from .shading_graph import OPSET, Nodes, as_model, inline, write_graph
+from .shading_graph import Nodes, as_model, inline, write_graph
 
 if TYPE_CHECKING:
     import onnx
@@ -35,8 +35,7 @@ class PixelGraph:
         seen: name of the pixels inside the mask, (P, C, K).
     """
 
-    def __init__(self, constants: Mapping[str, object], opset: int = OPSET) -> None:
-        self._opset = opset
+    def __init__(self, constants: Mapping[str, object]) -> None:
         self.add = add = Nodes("")
         self._constants: dict[str, object] = {
             "all": [-1],
@@ -77,7 +76,6 @@ class PixelGraph:
             tuple(examples[n][1] for n in names),
             ("model", "a reflectance function that torch.onnx can export"),
             "build it from element-wise torch operations without Python branches on values",
-            self._opset,
         )
 
     def inline(self, traced: onnx.ModelProto, prefix: str, given: Sequence[str], add: Nodes | None = None) -> list[str]:
@@ -128,9 +126,7 @@ class PixelGraph:
             helper.make_tensor_value_info("mask", TensorProto.BOOL, [1, "height", "width"]),
         ]
         results = [floats(name, [channels, "height", "width"]) for name, (_, channels) in outputs.items()]
-        return as_model(
-            helper.make_graph(self.add.nodes, "stereo", signature, results, [*held, *self._held]), self._opset
-        )
+        return as_model(helper.make_graph(self.add.nodes, "stereo", signature, results, [*held, *self._held]))
 
 
 def _inputs(node: onnx.NodeProto) -> list[str]:

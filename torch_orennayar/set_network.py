@@ -18,7 +18,7 @@ from .errors import FileError
 from .files import atomic_path
 
 FEATURES = 12
-ROUNDS = 4
+ROUNDS = 2
 """Of reweighting, before the network looks."""
 WEIGHTS = Path(__file__).with_name("set_network.pt")
 """What `examples/train_photometric_stereo.py` wrote."""
@@ -44,15 +44,15 @@ class SetNetwork(nn.Module):
     def __init__(self, width: int = 64, blocks: int = 4, heads: int = 4) -> None:
         super().__init__()
         self.shape = {"width": width, "blocks": blocks, "heads": heads}
-        self.embed = nn.Sequential(nn.Linear(FEATURES, width), nn.GELU(), nn.Linear(width, width))
+        self.embed = nn.Sequential(nn.Linear(FEATURES, width), nn.ReLU(), nn.Linear(width, width))
         self.blocks = nn.ModuleList(_Block(width) for _ in range(blocks))
-        self.norm = nn.LayerNorm(width)
         self.attend = nn.Linear(width, heads)
+        self.norm = nn.LayerNorm(2 * width)
         self.head = nn.Sequential(
-            nn.Linear(2 * width, 2 * width), nn.GELU(), nn.Linear(2 * width, 2 * width), nn.GELU(),
+            nn.Linear(2 * width, 2 * width), nn.ReLU(), nn.Linear(2 * width, 2 * width), nn.ReLU(),
         )  # fmt: skip
         self.mend = nn.Linear(2 * width, 3)
-        self.doubt = nn.Sequential(nn.Linear(2 * width, 64), nn.GELU(), nn.Linear(64, 1))
+        self.doubt = nn.Sequential(nn.Linear(2 * width, 64), nn.ReLU(), nn.Linear(64, 1))
         nn.init.zeros_(self.mend.weight)  # it begins as least squares
         nn.init.zeros_(self.mend.bias)
 
@@ -66,37 +66,42 @@ class SetNetwork(nn.Module):
         Returns:
             ``(normal, error)``: (P, 3), unit and toward the viewer, and (P, 1), radians; differentiable in both.
         """
-        tokens = make_tokens(observed, lights)
-        pixels, count = observed.shape
+        return self.read(make_tokens(observed, lights))
+
+    def read(self, tokens: Tokens) -> tuple[Tensor, Tensor]:
+        """As `forward`, of what `make_tokens` made: this part alone may run in half precision."""
+        pixels, count = tokens.values.shape[:2]
         # Tokens in a row, so that a graph's products of matrices take the bias along.
         x = self.embed(tokens.values.reshape(pixels * count, FEATURES))
         for block in self.blocks:
             x = block(x, pixels, count)
-        x = self.norm(x)
         share = self.attend(x).reshape(pixels, count, self.attend.out_features).softmax(1)  # (P, K, heads)
         x = x.reshape(pixels, count, x.shape[1])
         parts = x.unflatten(2, (share.shape[2], -1))
-        pooled = torch.cat(((parts * share[..., None]).sum(1).flatten(1), x.amax(1)), 1)
+        pooled = self.norm(torch.cat(((parts * share[..., None]).sum(1).flatten(1), x.amax(1)), 1))
         normal = F.normalize(tokens.start + self.mend(self.head(pooled)), dim=1)
         error = self.doubt(pooled.detach()).clamp(-8, 1).exp()
         return _turn_back(normal, tokens.turn), error
 
 
 class _Block(nn.Module):
-    """Every token hears the mean and the largest of all, then thinks for itself."""
+    """Every token hears the mean and the largest of all, then thinks for itself.
+
+    Only what pixels say as a whole is normalised: to normalise every token would cost as much as its products.
+    """
 
     def __init__(self, width: int) -> None:
         super().__init__()
-        self.before, self.after = nn.LayerNorm(width), nn.LayerNorm(width)
         self.tell, self.hear = nn.Linear(width, width), nn.Linear(2 * width, width)
-        self.think = nn.Sequential(nn.Linear(width, 2 * width), nn.GELU(), nn.Linear(2 * width, width))
+        self.norm = nn.LayerNorm(2 * width)
+        self.think = nn.Sequential(nn.Linear(width, 2 * width), nn.ReLU(), nn.Linear(2 * width, width))
 
     def forward(self, x: Tensor, pixels: int, count: int) -> Tensor:
         width = x.shape[1]
-        told = F.gelu(self.tell(self.before(x))).reshape(pixels, count, width)
-        heard = self.hear(torch.cat((told.mean(1), told.amax(1)), 1))[:, None]
+        told = F.relu(self.tell(x)).reshape(pixels, count, width)
+        heard = self.hear(self.norm(torch.cat((told.mean(1), told.amax(1)), 1)))[:, None]
         x = (x.reshape(pixels, count, width) + heard).reshape(pixels * count, width)
-        thought: Tensor = x + self.think(self.after(x))
+        thought: Tensor = x + self.think(x)
         return thought
 
 

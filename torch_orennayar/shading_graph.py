@@ -158,11 +158,11 @@ def inline(add: Nodes, graph: onnx.GraphProto, prefix: str, given: Mapping[str, 
     return [f"{prefix}{value.name}" for value in graph.output], constants
 
 
-def as_model(graph: onnx.GraphProto, opset: int = OPSET) -> onnx.ModelProto:
+def as_model(graph: onnx.GraphProto) -> onnx.ModelProto:
     """The graph with its opset."""
     from onnx import helper
 
-    opsets = [helper.make_opsetid("", opset)]
+    opsets = [helper.make_opsetid("", OPSET)]
     return helper.make_model(graph, opset_imports=opsets, ir_version=helper.find_min_ir_version_for(opsets))
 
 
@@ -208,7 +208,6 @@ def write_graph(
     shapes: Any,
     subject: tuple[str, str],
     mend: str,
-    opset: int = OPSET,
 ) -> onnx.ModelProto:
     """What ``make`` gives, a module or program, as a graph with ``names`` of inputs and outputs, free of local traces.
 
@@ -222,7 +221,7 @@ def write_graph(
                 input_names=list(names[0]),
                 output_names=list(names[1]),
                 dynamic_shapes=shapes,
-                opset_version=opset,
+                opset_version=OPSET,
                 dynamo=True,
                 verbose=False,
             )

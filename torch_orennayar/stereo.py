@@ -11,10 +11,10 @@ from torch import Tensor
 
 from . import _robust_fit as robust_fit
 from ._checks import check_floating, check_mask
-from .bands import Mend, band_height, gather, gather_directions, solve_bands
+from .bands import band_height, gather, gather_directions, solve_bands
 from .errors import CaptureError, RangeError, ShapeError
 from .evaluation import working_dtype
-from .interreflection import choose_glow
+from .interreflection import Glow, choose_glow
 from .material import Material, Rays
 from .network_stereo import NETWORK, TRAINED_LIGHTS, solve_network
 from .reconstruction import Reconstruction, stack
@@ -133,18 +133,17 @@ def photometric_stereo(
             uncertain = _report_roughness(sample, seen_by, material, report)
         used = "middle" if model == "lambert" else "lit"
         _report_falloff(material, report)
+    glow: Glow | None = None
+    if scores or (model == NETWORK and len(images) >= MIN_LIGHTS_HELD_OUT):
+        glow, told = choose_glow(images, lights, inside, material, seed)
+        report.append(told)
     if model == NETWORK:
         report.append("normals by a network trained on made-up pixels; albedo is Lambert's under them.")
         if len(images) < TRAINED_LIGHTS:
             report.append(f"{len(images)} lights are fewer than the {TRAINED_LIGHTS} that it was trained on.")
-        maps = solve_network(images, lights, inside)
+        maps = solve_network(images, lights, inside, glow=glow)
     else:
-        mend: Mend | None = None
-        if scores:
-            glow, told = choose_glow(images, lights, inside, material, seed)
-            report.append(told)
-            mend = glow.removed_from if glow else None
-        maps = solve_bands(images, lights, inside, material, used, mend)
+        maps = solve_bands(images, lights, inside, material, used, glow.removed_from if glow else None)
         if material.varied:
             uncertain = _report_map(sample, seen_by, material, maps["roughness"][:, inside], report)
     _report_doubts(dark, maps, len(images), material.model, report)

@@ -9,11 +9,12 @@ from collections.abc import Iterator, Sequence
 import torch
 import torch.nn.functional as F
 from torch import Tensor
-from torch.utils.data import IterableDataset, get_worker_info
+from torch.utils.data import DataLoader, Dataset, IterableDataset, get_worker_info
 
 from .bounce import SeenSurface, light_between
 from .camera import Camera
 from .errors import RangeError
+from .progress import track
 from .render import render_normals
 from .shadow import cast_shadows
 from .synthetic_pixels import (
@@ -54,7 +55,7 @@ class SyntheticCaptures(IterableDataset[dict[str, Tensor]]):
         observations: P times K of ``"pixels"``, about.
         scenes: four in five samples of ``"pixels"`` stand in one of so many rendered scenes, whose parts shade and
             light each other, the fifth between made-up walls. A scene takes most of a second when it is first needed
-            and .6 MB to be kept, in every worker and rank.
+            and .6 MB to be kept, in every worker and rank; `render_scenes` makes them all before workers start.
         size: (H, W) of ``"images"``.
         meshes: (vertices, faces) of ``"images"`` and scenes; default: bumpy balls, rings and heaps of balls.
         device: where captures are made.
@@ -125,6 +126,21 @@ class SyntheticCaptures(IterableDataset[dict[str, Tensor]]):
         count = self._count(draw)
         return self._pixels(draw, count) if self.kind == "pixels" else self._images(draw, count)
 
+    def render_scenes(self, workers: int = 0) -> None:
+        """Render all scenes now, each by one of so many processes of one rank; workers of a `DataLoader` share them."""
+        numbers = list(range(self.rank, self.scenes, self.world))
+        scenes = DataLoader(_Scenes(self), batch_size=None, sampler=numbers, num_workers=workers)
+        made = {
+            number: Scene(*(part.clone() for part in scene))  # what a worker sends holds a file open
+            for number, scene in zip(track(numbers, "scenes"), scenes, strict=True)
+        }
+        ranks: list[dict[int, Scene]] = [made]
+        if torch.distributed.is_available() and torch.distributed.is_initialized():
+            ranks = [{} for _ in range(self.world)]
+            torch.distributed.all_gather_object(ranks, made)
+        for made in ranks:
+            self._rendered |= made
+
     def _draw(self, what: str, index: int) -> Draw:
         digest = hashlib.blake2b(f"{what} {self.seed} {index}".encode(), digest_size=8).digest()
         return Draw(int.from_bytes(digest, "big") >> 1, self.device)
@@ -154,15 +170,17 @@ class SyntheticCaptures(IterableDataset[dict[str, Tensor]]):
         """Pixels of a scene under some of its lights (P, K, 3), normals, what reaches them and what is sent, (P, K)."""
         number = min(int(draw.uniform(1).item() * self.scenes), self.scenes - 1)
         if number not in self._rendered:
-            self._rendered[number] = draw_scene(
-                self._draw("scene", number), min(self.lights[1], SCENE_LIGHTS), self.meshes
-            )
+            self._rendered[number] = self._scene(number)
         scene = self._rendered[number]
         some = torch.randperm(len(scene.lights), generator=draw.generator, device=draw.device)[:count]
         which = torch.randint(len(scene.normal), (pixels,), generator=draw.generator, device=draw.device)
         reached, sent = (part[which][:, some] for part in (scene.reached, scene.sent))
         reached = reached if self.mix.shadows else torch.ones_like(reached)
         return scene.lights[some].expand(pixels, -1, -1), scene.normal[which], reached, sent * self.mix.bounce
+
+    @torch.no_grad()
+    def _scene(self, number: int) -> Scene:
+        return draw_scene(self._draw("scene", number), min(self.lights[1], SCENE_LIGHTS), self.meshes)
 
     def _images(self, draw: Draw, count: int) -> dict[str, Tensor]:
         mix = self.mix
@@ -198,6 +216,16 @@ class SyntheticCaptures(IterableDataset[dict[str, Tensor]]):
             "albedo": texture * mask,
             "roughness": material.roughness.reshape(1, 1, 1) * mask,
         }
+
+
+class _Scenes(Dataset[Scene]):
+    """The scenes of captures by number."""
+
+    def __init__(self, captures: SyntheticCaptures) -> None:
+        self._captures = captures
+
+    def __getitem__(self, number: int) -> Scene:
+        return self._captures._scene(number)
 
 
 def _shade(surface: SeenSurface, lights: Tensor, material: Materials) -> tuple[Tensor, Tensor]:
