@@ -158,13 +158,13 @@ def resume(folder: Path, training: Training) -> None:
 
 
 @contextmanager
-def processes() -> Iterator[tuple[int, int]]:
-    """Rank and number of processes; a group where torchrun started several."""
+def processes(device: str) -> Iterator[tuple[int, int]]:
+    """Rank and number of processes; a group where torchrun started several, also several to a GPU."""
     if "RANK" not in os.environ:
         yield 0, 1
         return
-    shared = int(os.environ.get("LOCAL_WORLD_SIZE", "1")) > torch.cuda.device_count()  # NCCL wants a GPU each
-    dist.init_process_group("gloo" if shared else "nccl")
+    gpu_each = device == "cuda" and int(os.environ["LOCAL_WORLD_SIZE"]) <= torch.cuda.device_count()
+    dist.init_process_group("nccl" if gpu_each else "gloo")
     try:
         yield dist.get_rank(), dist.get_world_size()
     finally:
@@ -175,7 +175,7 @@ def train(options: argparse.Namespace) -> Training:
     """All steps, from the beginning or the last checkpoint."""
     folder: Path = options.output
     folder.mkdir(parents=True, exist_ok=True)
-    with processes() as (rank, world):
+    with processes(options.device) as (rank, world):
         if options.groups % world:
             raise SystemExit(f"--groups {options.groups} cannot be shared evenly by {world} processes")
         if options.device == "cuda":
@@ -197,11 +197,13 @@ def train(options: argparse.Namespace) -> Training:
         means: list[Tensor] = []
         for _ in track(range(options.steps - training.step), "training"):
             means.append(training.run_step(samples, world))
-            if rank == 0 and (training.step % options.every == 0 or training.step == options.steps):
-                loss, degrees = torch.stack(means).double().mean(0).tolist()
+            if training.step % options.every and training.step < options.steps:
+                continue
+            loss, degrees = torch.stack(means).double().mean(0).tolist()
+            means = []
+            if rank == 0:
                 seconds = time.perf_counter() - begun
                 kept.append([str(training.step), f"{loss:.6f}", f"{degrees:.3f}", f"{seconds:.1f}"])
-                means = []
                 write_curve(folder / "curve.csv", kept)
                 save(folder, training)
         if rank == 0:

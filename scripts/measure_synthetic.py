@@ -67,11 +67,11 @@ def contact_sheet(path: Path) -> None:
 
 def training_step(training: Any) -> float:
     """Seconds of a step of training on this machine."""
-    samples = SyntheticCaptures("pixels", observations=training.options.observations)
-    training.run_step(samples, 0, 1)
+    samples = iter(SyntheticCaptures("pixels", observations=training.options.observations))
+    training.run_step(samples, 1)
     begun = time.perf_counter()
     for _ in range(5):
-        training.run_step(samples, 0, 1)
+        training.run_step(samples, 1)
     return (time.perf_counter() - begun) / 5
 
 

@@ -4,6 +4,7 @@ import math
 from pathlib import Path
 
 import pytest
+import rendered
 import torch
 import torch.nn.functional as F
 from conftest import Scene, run_graph
@@ -11,7 +12,7 @@ from torch import Tensor
 
 import torch_orennayar as ton
 from torch_orennayar import FileError, SyntheticCaptures, angular_error, load_capture, photometric_stereo
-from torch_orennayar.network_stereo import solve_network
+from torch_orennayar.network_stereo import Smooth, solve_network
 from torch_orennayar.set_network import WEIGHTS, SetNetwork, load_network, make_tokens, save_network
 
 UNSEEN = 10**9
@@ -133,6 +134,48 @@ def test_files_that_are_no_network(tmp_path: Path) -> None:
 
 def test_weights_are_small() -> None:
     assert WEIGHTS.stat().st_size <= 1_000_000
+
+
+class TestSmooth:
+    SIDE = 24
+
+    def roof(self) -> Tensor:
+        """Normals (3, H, W) of a roof whose ridge runs up and down."""
+        lean = torch.where(torch.arange(self.SIDE) < self.SIDE // 2, -0.6, 0.6).expand(self.SIDE, -1)
+        return torch.stack((lean, torch.zeros_like(lean), torch.full_like(lean, 0.8)))
+
+    def test_noise_goes_and_an_edge_stays(self) -> None:
+        true, generator = self.roof(), torch.Generator().manual_seed(0)
+        error = torch.full((1, self.SIDE, self.SIDE), 0.05)
+        noisy = F.normalize(true + 0.05 * torch.randn(true.shape, generator=generator), dim=0)
+        before, after = ((1 - (n * true).sum(0)).mean().item() for n in (noisy, Smooth()(noisy, error)))
+        assert after < 0.2 * before
+
+    def test_what_is_surer_counts_more(self) -> None:
+        true = self.roof()
+        error = torch.full((1, self.SIDE, self.SIDE), 0.01)
+        wrong = true.clone()
+        wrong[:, 6, 4], error[:, 6, 4] = torch.tensor([0.0, 0.0, 1.0]), 0.7
+        smoothed = Smooth()(wrong, error)
+        assert degrees(smoothed[:, 6, 4][None], true[:, 6, 4][None]) < 3
+        assert degrees(smoothed[:, 6, 5][None], true[:, 6, 5][None]) < 0.2
+
+    def test_what_is_outside_the_mask_says_nothing(self) -> None:
+        true = self.roof()
+        error = torch.full((1, self.SIDE, self.SIDE), 0.05)
+        true[:, 12:], error[:, 12:] = 0, 0
+        smoothed = Smooth()(true, error)
+        assert torch.allclose(smoothed[:, :12], true[:, :12], atol=1e-3)
+
+
+def test_light_between_parts_is_taken_away_first(meshes: dict[str, tuple[Tensor, Tensor]]) -> None:
+    """Balls that touch: the network knows such light, and still gains."""
+    scene = rendered.hollow_capture(meshes["balls"], 0.8, size=96)
+    found = photometric_stereo(scene.images, scene.lights, scene.mask, model="network")
+    assert any("is taken away" in line for line in found.report)
+    without = solve_network(scene.images, scene.lights, scene.mask[0])["normal"]
+    errors = [angular_error(n, scene.normal, scene.mask).summary()["mean"] for n in (found.normal, without)]
+    assert errors[0] < 0.9 * errors[1]
 
 
 def test_photometric_stereo_by_the_network(rough: Scene) -> None:

@@ -189,6 +189,14 @@ class TestScenes:
         for k in reversed(range(12)):
             assert torch.equal(used.sample(k)["observed"], wanted[k])
 
+    @pytest.mark.parametrize("workers", [0, 2])
+    def test_scenes_rendered_before_are_those_rendered_when_needed(self, workers: int) -> None:
+        before, later = (SyntheticCaptures("pixels", scenes=3, observations=600) for _ in range(2))
+        before.render_scenes(workers)
+        for index in range(8):
+            for name, value in before.sample(index).items():
+                assert torch.equal(value, later.sample(index)[name])
+
     def test_there_are_as_many_lights_as_asked_for(self) -> None:
         source = SyntheticCaptures(scenes=1, lights=(20, 70), observations=700)
         counts = [source.sample(k)["lights"].shape[1] for k in range(12)]

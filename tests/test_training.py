@@ -24,8 +24,9 @@ def command(folder: Path, steps: int, every: int) -> list[str]:
     return [str(TRAINER), *SMALL, "--steps", str(steps), "--every", str(every), "-o", str(folder)]
 
 
-def train(folder: Path, steps: int = 12, every: int = 4) -> str:
-    done = subprocess.run([sys.executable, *command(folder, steps, every)], capture_output=True, text=True, check=False)
+def train(folder: Path, steps: int = 12, every: int = 4, *more: str) -> str:
+    asked = [sys.executable, *command(folder, steps, every), *more]
+    done = subprocess.run(asked, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     return done.stdout + done.stderr
 
@@ -70,6 +71,15 @@ def test_killed_and_resumed_to_the_bit(tmp_path: Path, whole: Path) -> None:
     assert f"going on from step {reached}" in said
     assert same(tmp_path, whole)
     assert curve(tmp_path) == curve(whole)
+
+
+def test_workers_make_the_same_samples(tmp_path: Path, whole: Path) -> None:
+    """Broken off and resumed among other workers' samples, too."""
+    train(tmp_path, 12, 4, "--workers", "2")
+    assert same(tmp_path, whole)
+    (tmp_path / "checkpoint.pt").unlink()
+    assert "going on from step 8" in train(tmp_path, 12, 4, "--workers", "3")
+    assert same(tmp_path, whole)
 
 
 def test_a_torn_checkpoint_gives_way_to_the_one_before(tmp_path: Path, whole: Path) -> None:
@@ -126,6 +136,6 @@ def test_groups_that_processes_cannot_share(tmp_path: Path, monkeypatch: pytest.
 
         def __exit__(self, *_: object) -> None: ...
 
-    monkeypatch.setattr(example, "processes", Two)
+    monkeypatch.setattr(example, "processes", lambda device: Two())
     with pytest.raises(SystemExit, match="cannot be shared"):
         example.train(options)

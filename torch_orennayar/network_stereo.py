@@ -28,6 +28,9 @@ TRAINED_LIGHTS = 12
 """The fewest lights that it has seen."""
 SUREST = 1e-3
 """Least error of a normal that is reckoned with, radians."""
+REACH, SPREAD, UNLIKE = 2, 1.3, 3.0
+"""How far normals are smoothed, in pixels, the standard deviation of that, and by how many times their errors neighbours
+may differ: on rendered captures the network errs by more than it expects."""
 CHUNK, CHUNK_ACCELERATOR = 1 << 13, 1 << 20
 """Observations at once: what fits in cache, and what keeps an accelerator busy."""
 
@@ -47,21 +50,23 @@ class Paint(nn.Module):
 
 
 class Smooth(nn.Module):
-    """Mean normal of a picture's pixels and their 8 neighbours.
+    """Mean normal of a picture's pixels and those about them.
 
-    Those of small error count more, and those that differ by more than both errors explain, as across an edge, less.
+    The near ones and those of small error count more; those that differ by far more than both errors explain, as across
+    an edge, count less.
     """
 
     def forward(self, normal_map: Tensor, error_map: Tensor) -> Tensor:
         """Normals (3, H, W), 0 outside the mask, errors (1, H, W)."""
-        both = torch.cat((normal_map, error_map))[None]
+        both, side = torch.cat((normal_map, error_map))[None], 2 * REACH + 1
         variance = error_map.clamp_min(SUREST).square()
         total = torch.zeros_like(normal_map)
-        for shift in torch.eye(9).reshape(9, 1, 1, 3, 3):
-            there = F.conv2d(both, shift.to(both).expand(4, 1, 3, 3), padding=1, groups=4)[0]
-            normal, spread = there[:3], there[3:].clamp_min(SUREST).square()
-            apart = (normal - normal_map).square().sum(0, keepdim=True)
-            total = total + normal * (torch.exp(-0.5 * apart / (variance + spread)) / spread)
+        for place, shift in enumerate(torch.eye(side * side).reshape(-1, 1, 1, side, side)):
+            there = F.conv2d(both, shift.to(both).expand(4, 1, side, side), padding=REACH, groups=4)[0]
+            normal, error = there[:3], there[3:].clamp_min(SUREST)
+            apart = (normal - normal_map).square().sum(0, keepdim=True) / (variance + error.square())
+            away = ((place // side - REACH) ** 2 + (place % side - REACH) ** 2) / SPREAD**2
+            total = total + normal * (torch.exp(-0.5 * (apart / UNLIKE**2 + away)) / error)
         return F.normalize(total, dim=0)
 
 
