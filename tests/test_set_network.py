@@ -211,7 +211,7 @@ def test_graph_keeps_what_makes_it_fast_in_one_piece(graph: Path) -> None:
     assert described["operators"]["LayerNormalization"] == 5
 
 
-@pytest.mark.parametrize(("name", "bar"), [("ball", 1.5), ("cat", 4.2), ("reading", 10.6)])
+@pytest.mark.parametrize(("name", "bar"), [("ball", 1.4), ("cat", 3.4), ("reading", 10.6)])
 def test_real_objects(data: Path, name: str, bar: float) -> None:
     """Not trained on; the design page's prototype errs by 2.16, 3.77 and 13.6 degrees."""
     capture = load_capture(data / "diligent" / f"{name}PNG")

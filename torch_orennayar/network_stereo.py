@@ -28,9 +28,11 @@ TRAINED_LIGHTS = 12
 """The fewest lights that it has seen."""
 SUREST = 1e-3
 """Least error of a normal that is reckoned with, radians."""
-REACH, SPREAD, UNLIKE = 2, 1.3, 3.0
-"""How far normals are smoothed, in pixels, the standard deviation of that, and by how many times their errors neighbours
-may differ: on rendered captures the network errs by more than it expects."""
+REACH, SPREAD = 2, 1.3
+"""How far normals are smoothed, in pixels, and the standard deviation of that."""
+UNLIKE, TRUST = 3.0, 0.7
+"""By how many of their errors neighbours may differ, and the power of the error that weighs them down; 1 and 2 if the
+network knew its errors, but on rendered captures it errs by more than it expects."""
 CHUNK, CHUNK_ACCELERATOR = 1 << 13, 1 << 20
 """Observations at once: what fits in cache, and what keeps an accelerator busy."""
 
@@ -66,7 +68,7 @@ class Smooth(nn.Module):
             normal, error = there[:3], there[3:].clamp_min(SUREST)
             apart = (normal - normal_map).square().sum(0, keepdim=True) / (variance + error.square())
             away = ((place // side - REACH) ** 2 + (place % side - REACH) ** 2) / SPREAD**2
-            total = total + normal * (torch.exp(-0.5 * (apart / UNLIKE**2 + away)) / error)
+            total = total + normal * (torch.exp(-0.5 * (apart / UNLIKE**2 + away)) / error**TRUST)
         return F.normalize(total, dim=0)
 
 
