@@ -1,9 +1,14 @@
-"""Train the photometric stereo network that ships with the package, on pixels shaded on the fly.
+"""Train a network for photometric stereo, as the one that ships with the package, on pixels shaded on the fly.
 
 Most of them stand in rendered scenes, whose parts shade and light each other, the rest between made-up walls.
 
     python examples/train_photometric_stereo.py                          # laptop, one GPU: what there is is used
     torchrun --nproc-per-node 2 examples/train_photometric_stereo.py     # many processes, many machines
+
+What ships was trained by four processes on one GPU:
+
+    torchrun --nproc-per-node 4 examples/train_photometric_stereo.py --steps 8000 --observations 32768 \
+        --workers 2 --threads 1
 
 Every step draws samples by number, so any number of processes sees the same batch; gradients are averaged. Killed at
 any moment, it goes on from the last checkpoint as if nothing had happened. Writes network.pt (half precision, weights
@@ -63,7 +68,7 @@ class Training:
         self.optimiser.zero_grad()
         sums = torch.zeros(2, device=self.device)
         for _ in range(groups // world):
-            sample = {name: value.to(self.device, non_blocking=True) for name, value in next(samples).items()}
+            sample = {name: value.to(self.device) for name, value in next(samples).items()}
             loss, degrees = losses(self.network, sample)
             (loss / groups).backward()
             sums += torch.stack((loss.detach(), degrees)) / groups
@@ -71,7 +76,7 @@ class Training:
             held = [p.grad for p in self.network.parameters() if p.grad is not None]
             flat = torch.cat([sums, *(g.flatten() for g in held)])
             dist.all_reduce(flat)
-            sums, place = flat[:2], 2
+            sums, place = flat[:2].clone(), 2
             for g in held:
                 g.copy_(flat[place : place + g.numel()].reshape(g.shape))
                 place += g.numel()
@@ -81,7 +86,8 @@ class Training:
         self.step += 1
         with torch.no_grad():
             keep = min(AVERAGE, self.step / (self.step + 10))
-            torch._foreach_lerp_(list(self.average.parameters()), list(self.network.parameters()), 1 - keep)
+            for mean, value in zip(self.average.parameters(), self.network.parameters(), strict=True):
+                mean.lerp_(value, 1 - keep)
         return sums
 
     def state(self) -> dict[str, Any]:
@@ -163,7 +169,7 @@ def processes(device: str) -> Iterator[tuple[int, int]]:
     if "RANK" not in os.environ:
         yield 0, 1
         return
-    gpu_each = device == "cuda" and int(os.environ["LOCAL_WORLD_SIZE"]) <= torch.cuda.device_count()
+    gpu_each = device == "cuda" and int(os.environ.get("LOCAL_WORLD_SIZE", "1")) <= torch.cuda.device_count()
     dist.init_process_group("nccl" if gpu_each else "gloo")
     try:
         yield dist.get_rank(), dist.get_world_size()
@@ -189,7 +195,7 @@ def train(options: argparse.Namespace) -> Training:
             observations=options.observations,
             scenes=options.scenes,
         )
-        if options.workers:
+        if options.workers and training.step < options.steps:
             source.render_scenes(options.workers)
         samples = iter(DataLoader(source, batch_size=None, num_workers=options.workers))
         begun, spent = time.perf_counter(), time.process_time()
@@ -208,7 +214,8 @@ def train(options: argparse.Namespace) -> Training:
                 save(folder, training)
         if rank == 0:
             save_network(folder / "network.pt", training.average)
-            print(f"{training.step} steps, {time.process_time() - spent:.0f} CPU seconds here; {folder / 'network.pt'}")
+            spent = time.process_time() - spent
+            print(f"{training.step} steps, {spent:.0f} CPU seconds of this process; {folder / 'network.pt'}")
     return training
 
 
@@ -235,10 +242,8 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--scenes", type=int, default=400, help="rendered scenes that most samples stand in")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--every", type=int, default=100, help="steps between checkpoints")
-    parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
-    parser.add_argument(
-        "--workers", type=int, help="processes that make samples; default: none, for a GPU all its cores"
-    )
+    parser.add_argument("--device", choices=("cpu", "cuda"), default="cuda" if torch.cuda.is_available() else "cpu")
+    parser.add_argument("--workers", type=int, help="processes that make samples; default: 0, for a GPU one a core")
     parser.add_argument("--threads", type=int, default=0, help="of each process; default: torch's choice")
     parser.add_argument("-o", "--output", type=Path, default=Path("out/train"))
     options = parser.parse_args(arguments)

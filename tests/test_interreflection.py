@@ -86,8 +86,11 @@ def test_rows_pixels_and_the_whole_agree(
     whole = glow.removed_from(scene.images, 0)
     assert torch.allclose(glow.removed_from(scene.images[:, :, 60:90], 60), whole[:, :, 60:90], atol=1e-6)
     picked = scene.mask.flatten().nonzero().flatten()[::37]
-    taken = (scene.images - whole)[:, 0].flatten(1)[:, picked].T
-    assert torch.allclose(glow.at(scene.images, picked)[:, 0], taken, atol=1e-6)
+    colours = torch.cat((scene.images, scene.images / 2), 1)
+    glow = Glow(found.share.expand(-1, 2, -1, -1), found.factor, 0.5)
+    taken = (colours - glow.removed_from(colours, 0)).flatten(2)[:, :, picked].permute(2, 1, 0)
+    seen = colours.flatten(2)[:, :, picked].permute(2, 1, 0)
+    assert torch.allclose(glow.at(seen, picked, 201), taken, atol=1e-6)
     assert torch.equal(Glow(found.share, found.factor, 0.0).removed_from(scene.images, 0), scene.images)
 
 

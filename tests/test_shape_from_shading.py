@@ -278,3 +278,72 @@ def test_a_picture_that_is_not_understood_falls_back_on_the_silhouette() -> None
     painted = image * (1 - 0.6 * ((row // 12 + column // 12) % 2))
     found = shape_from_shading(painted, light, field.mask, albedo=None, roughness=0.0)
     assert angular_error(found.normal, field.normal.float(), field.mask).summary()["mean"] < 8
+
+
+class TestWindow:
+    """Only the part of a picture that the mask reaches is solved."""
+
+    def ball(self, size: int = 64) -> tuple[Tensor, Tensor]:
+        field = height_fields.make("sphere cap", size)
+        return photograph(field, LIGHT, 0.5), field.mask
+
+    def test_where_it_lies_and_how_much_is_about_it_do_not_matter(self) -> None:
+        image, mask = self.ball()
+        found = []
+        for left, right, top, bottom in ((64, 64, 64, 64), (70, 101, 93, 65)):
+            around = (left, right, top, bottom)
+            wide, inside = F.pad(image, around, value=math.nan), F.pad(mask, around)
+            whole = shape_from_shading(wide, LIGHT, inside, albedo=0.8, roughness=0.5)
+            assert whole.normal.shape == (3, *inside.shape[1:])
+            assert not whole.normal[:, ~inside[0]].any()
+            found.append(whole.normal[:, top : top + 64, left : left + 64])
+        assert torch.equal(*found)
+        tight = shape_from_shading(image, LIGHT, mask, albedo=0.8, roughness=0.5).normal
+        assert angular_error(found[0], tight, mask).summary()["mean"] < 0.5
+
+    def test_maps_and_depths_are_cut_alike(self) -> None:
+        """In perspective, off the middle, everything told as a map that is not a number outside the mask."""
+        image, mask = self.ball()
+        around = (70, 20, 10, 40)
+        inside = F.pad(mask, around)
+        camera = Camera.perspective(math.radians(40), eye=(0.0, 0.0, 3.0))
+        nowhere = torch.full((1, *inside.shape[1:]), math.nan)
+        maps = {
+            name: torch.where(inside, value, nowhere)
+            for name, value in {
+                "light": LIGHT.reshape(3, 1, 1),
+                "albedo": 0.8,
+                "roughness": 0.5,
+                "ambient": 0.0,
+            }.items()
+        }
+        image = F.pad(image, around)
+        told = shape_from_shading(image, LIGHT, inside, albedo=0.8, roughness=0.5, camera=camera)
+        mapped = shape_from_shading(image, mask=inside, camera=camera, **maps)
+        assert mapped.depth is not None
+        assert angular_error(mapped.normal, told.normal, inside).summary()["mean"] < 0.2
+        place = tuple(inside[0].nonzero()[400])
+        known = nowhere.clone()
+        known[0, place[0], place[1]] = 2.5
+        start = torch.where(inside, mapped.depth * 2.5 / mapped.depth[0, place[0], place[1]], nowhere)
+        again = shape_from_shading(
+            image, LIGHT, inside, albedo=0.8, roughness=0.5, camera=camera, depth=start, known=known
+        )
+        assert again.depth is not None
+        assert again.depth[0, place[0], place[1]].item() == pytest.approx(2.5, rel=0.01)
+        assert angular_error(again.normal, told.normal, inside).summary()["mean"] < 1
+
+    @pytest.mark.parametrize(("rows", "columns"), [(1, 1), (60, 1), (3, 90)])
+    def test_small_and_thin_masks(self, rows: int, columns: int) -> None:
+        inside = torch.zeros(1, 100, 120, dtype=torch.bool)
+        inside[:, 20 : 20 + rows, 10 : 10 + columns] = True
+        found = shape_from_shading(0.5 * inside.double(), LIGHT.double(), inside, albedo=0.8)
+        assert found.normal.dtype == torch.float64
+        assert torch.allclose(found.normal[:, inside[0]].norm(dim=0), torch.ones(1, dtype=torch.float64))
+        assert not found.normal[:, ~inside[0]].any()
+
+    def test_a_frontal_near_light_is_told_by_what_the_mask_holds(self) -> None:
+        image, mask = self.ball()
+        light = torch.where(mask, torch.tensor([0.0, 0.0, 1.0]).reshape(3, 1, 1), math.nan)
+        with pytest.warns(UserWarning, match="within 10 degrees"):
+            shape_from_shading(image, light, mask, albedo=0.8, roughness=0.5)

@@ -106,12 +106,13 @@ def test_a_checkpoint_of_another_task_is_an_error(whole: Path) -> None:
         example.train(example.parse([*SMALL, "--steps", "13", "-o", str(whole)]))
 
 
-def test_two_processes_equal_one(tmp_path: Path, whole: Path) -> None:
+@pytest.mark.parametrize("workers", ["0", "1"])
+def test_two_processes_equal_one(tmp_path: Path, whole: Path, workers: str) -> None:
     launcher = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
     environment = os.environ | {"OMP_NUM_THREADS": "1"}
     done = subprocess.run(
-        [sys.executable, *launcher, *command(tmp_path, 12, 4)], capture_output=True, text=True, env=environment,
-        check=False,
+        [sys.executable, *launcher, *command(tmp_path, 12, 4), "--workers", workers],
+        capture_output=True, text=True, env=environment, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     for together, alone in zip(curve(tmp_path), curve(whole), strict=True):

@@ -67,7 +67,8 @@ def export_onnx(
     returns ``normal`` (3, H, W), ``albedo`` (C, H, W) and ``roughness`` (1, H, W), 0 outside the mask; all axes are
     dynamic. It is robust least squares in closed form with one roughness for the object (`stereo_graph`), less exact
     than `photometric_stereo`. K >= 3, and the mask must hold a pixel. With ``model="network"`` the normals are those of
-    the network that ships, K >= 12 for what it was trained on, and ``error`` (1, H, W), radians, is returned too.
+    the network that ships, K >= 12 for what it was trained on, and ``error`` (1, H, W), radians, is returned too; light
+    between parts of the surface, which `photometric_stereo` takes away first, stays.
 
     A module of your own, with `OrenNayar` in it or without, takes ``example_inputs``; every axis that it allows to
     differ is dynamic, but for those of size 1 in the example. It is exported in evaluation mode.
@@ -187,7 +188,8 @@ def _network_task() -> _Task:
         "model": NETWORK,
         "roughness": "always 0: the network tells none",
         "error": "what the network expects its normal to err by, radians",
-        "method": "a set network trained on made-up pixels, 12 to 100 lights; albedo is Lambert's",
+        "method": "a set network trained on made-up pixels, 12 to 100 lights; albedo is Lambert's; light between parts "
+        "of the surface is not taken away",
     }
 
     def solve(images: Tensor, lights: Tensor, mask: Tensor) -> tuple[Tensor, ...]:

@@ -73,12 +73,11 @@ class Glow:
             left[k] = image - (self.strength * _sampled(self.share[k : k + 1], places)[0] * mean).to(images)
         return left
 
-    def at(self, images: Tensor, picked: Tensor) -> Tensor:
-        """That light at P pixels, (P, C, K)."""
-        width = images.shape[3]
+    def at(self, seen: Tensor, picked: Tensor, width: int) -> Tensor:
+        """That light at P pixels of a picture so wide that show ``seen`` (P, C, K)."""
         places = self._places(picked // width, picked % width)
-        mean = images.flatten(2)[:, :, picked].to(self.share).mean(0).clamp_min(0)
-        return (self.strength * _sampled(self.share, places[None])[:, :, 0] * mean).permute(2, 1, 0)
+        mean = seen.to(self.share).mean(2, keepdim=True).clamp_min(0)
+        return self.strength * _sampled(self.share, places[None])[:, :, 0].permute(2, 1, 0) * mean
 
     def _places(self, rows: Tensor, columns: Tensor) -> Tensor:
         """Pixels in grid_sample's units, (..., 2)."""
@@ -103,7 +102,8 @@ def choose_glow(
     glow = find_glow(images, lights, inside)
     generator = torch.Generator().manual_seed(seed)
     picked = place[torch.randperm(len(place), generator=generator)[:LOOKED_AT].to(place.device)]
-    received, grey = glow.at(images, picked).mean(1), gather(images, picked)
+    received = glow.at(images.flatten(2)[:, :, picked].permute(2, 1, 0), picked, images.shape[3]).mean(1)
+    grey = gather(images, picked)
     share = received.mean(1) / robust_fit.mean_of(grey)[:, 0]
     hollow = (share > NOTABLE).nonzero().flatten()[:SAMPLE_PIXELS]
     if len(hollow) < FEWEST:

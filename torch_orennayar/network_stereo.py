@@ -10,6 +10,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from .bands import gather_directions
+from .interreflection import DARKEST
 from .neighbours import Grid
 from .pixel_graph import PixelGraph, Prepare
 from .progress import track
@@ -87,8 +88,8 @@ def solve_network(
 
     def look(chunk: Tensor) -> tuple[Tensor, Tensor]:
         seen = flat[:, :, chunk].permute(2, 1, 0).to(dtype)
-        if glow:
-            seen = (seen - glow.at(images, chunk)).clamp_min(0).to(dtype)
+        if glow:  # a little stays, so that no pixel turns black
+            seen = torch.maximum(seen - glow.at(seen, chunk, images.shape[3]).to(dtype), DARKEST * seen)
         return seen, gather_directions(lights, chunk).to(dtype)
 
     with torch.no_grad():

@@ -28,6 +28,8 @@ START_ROUGHNESS, START_AMBIENT = math.radians(25), 0.01
 """Where the search for an unknown roughness and for unknown ambient light begins."""
 NEAR_ENOUGH = 0.01
 """Error of shading that the simplest sufficient model may have: about the noise of a picture."""
+EASY = 32
+"""Pixels of which the sides of the solved window are multiples: as often as they are halved, or nearly."""
 NOISE = 0.01
 """Least error of brightness that the confidence reckons with, share of the picture's bright end."""
 
@@ -206,7 +208,7 @@ def _scene(
         image=values,
         unit=unit,
         mask=inside.to(values),
-        light=light.to(values).reshape(3, 1, 1) if light.ndim == 1 else light.to(values),
+        light=light.to(values).reshape(3, 1, 1) if light.ndim == 1 else torch.where(inside, light.to(values), 0),
         view=view,
         rays=rays,
         albedo=paint,
@@ -273,9 +275,18 @@ def _to_depth(height: Tensor, camera: Camera | None, size: tuple[int, int]) -> T
 
 
 def _window(inside: Tensor) -> tuple[slice, slice]:
-    """Rows and columns that the mask reaches: nothing else costs time."""
-    rows, columns = (inside[0].any(axis).nonzero().flatten().tolist() for axis in (1, 0))
-    return slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+    """Rows and columns that the mask reaches: nothing else costs time.
+
+    Where the picture has room, at least half as wide as long, and easy to halve.
+    """
+    reached = [inside[0].any(axis).nonzero().flatten()[[0, -1]].tolist() for axis in (1, 0)]
+    least = max(last - first + 1 for first, last in reached) // 2
+    window = []
+    for (first, last), size in zip(reached, inside.shape[1:], strict=True):
+        length = min(size, -(-max(last - first + 1, least) // EASY) * EASY)
+        start = min(max(0, (first + last + 1 - length) // 2), size - length)
+        window.append(slice(start, start + length))
+    return window[0], window[1]
 
 
 def _start(scene: Scene, height: Tensor | None, contour: bool) -> Tensor:
@@ -302,7 +313,7 @@ def _choose_side(coarsest: Scene, start: Surface, wish: Wish) -> tuple[Surface, 
 
 def _say_light(scene: Scene) -> list[str]:
     """What the direction of the light keeps from being known."""
-    facing = float((scene.light * scene.view).sum(0).mean())
+    facing = float((scene.light * scene.view).sum(0).expand_as(scene.mask)[scene.mask > 0].mean())
     if facing <= 0:
         raise RangeError(
             "light",

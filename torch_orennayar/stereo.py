@@ -62,7 +62,7 @@ def photometric_stereo(
     were held out, and takes the simplest within 2 % of the best; a map must gain a tenth to be weighed at all. Where
     hollows are explained better by it, light that parts of the surface send each other is taken away before normals are
     solved (from 8 lights on); albedo and residual are then those of what is left. How white the surface is for that is
-    told by the hollows, whatever the images' exposure.
+    told by the hollows, whatever the images' exposure. ``network`` does so too, and calls the surface matt for that.
 
     Models with inter-reflection take albedo in the unit of the images (1 is white), cut to [0, 1]. Not
     differentiable. float64 is solved in float64, all else in float32. The same seed gives the same

@@ -105,7 +105,6 @@ class Scene:
             roughness=cut(self.roughness),
             ambient=cut(self.ambient),
             known=cut(self.known),
-            likely=None if self.likely is None else cut(self.likely),
         )
 
     def halved(self) -> Scene:
@@ -335,10 +334,9 @@ class _Terms:
     @staticmethod
     def of(scene: Scene, start: Surface, wish: Wish) -> _Terms:
         mask = scene.mask
-        blurred = mask[None]
+        blurred = F.pad(mask, (6, 6, 6, 6))  # the blur and the difference reach beyond the picture
         for radius in (3, 2):
-            blurred = F.avg_pool2d(F.pad(blurred, (radius,) * 4), 2 * radius + 1, 1)
-        blurred = F.pad(blurred[0], (1, 1, 1, 1))
+            blurred = F.avg_pool2d(blurred, 2 * radius + 1, 1)
         falling = torch.cat(
             (blurred[:, 1:-1, :-2] - blurred[:, 1:-1, 2:], blurred[:, 2:, 1:-1] - blurred[:, :-2, 1:-1])
         )

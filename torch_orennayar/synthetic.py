@@ -103,9 +103,8 @@ class SyntheticCaptures(IterableDataset[dict[str, Tensor]]):
         self.mix, self.lights, self.observations, self.size = mix or Ingredients(), lights, observations, size
         self.meshes, self.device = meshes, torch.device(device)
         self.scenes, self._rendered = scenes, dict[int, Scene]()
-        grouped = torch.distributed.is_available() and torch.distributed.is_initialized()
-        self.rank = rank if rank is not None else torch.distributed.get_rank() if grouped else 0
-        self.world = world if world is not None else torch.distributed.get_world_size() if grouped else 1
+        self.rank = rank if rank is not None else torch.distributed.get_rank() if _grouped() else 0
+        self.world = world if world is not None else torch.distributed.get_world_size() if _grouped() else 1
         if not 0 <= self.rank < self.world:
             raise RangeError("rank", expected=f"0 to {self.world - 1}", got=str(self.rank), mend="count from 0")
 
@@ -127,19 +126,26 @@ class SyntheticCaptures(IterableDataset[dict[str, Tensor]]):
         return self._pixels(draw, count) if self.kind == "pixels" else self._images(draw, count)
 
     def render_scenes(self, workers: int = 0) -> None:
-        """Render all scenes now, each by one of so many processes of one rank; workers of a `DataLoader` share them."""
-        numbers = list(range(self.rank, self.scenes, self.world))
+        """Render all scenes now; workers of a `DataLoader` then share them.
+
+        Ranks of a process group share the work if all of them call this.
+
+        Args:
+            workers: processes that render; 0 for this one. On another device than the processor only 0 works.
+        """
+        grouped = _grouped() and torch.distributed.get_world_size() == self.world
+        numbers = list(range(self.rank, self.scenes, self.world) if grouped else range(self.scenes))
         scenes = DataLoader(_Scenes(self), batch_size=None, sampler=numbers, num_workers=workers)
         made = {
             number: Scene(*(part.clone() for part in scene))  # what a worker sends holds a file open
             for number, scene in zip(track(numbers, "scenes"), scenes, strict=True)
         }
-        ranks: list[dict[int, Scene]] = [made]
-        if torch.distributed.is_available() and torch.distributed.is_initialized():
-            ranks = [{} for _ in range(self.world)]
-            torch.distributed.all_gather_object(ranks, made)
-        for made in ranks:
-            self._rendered |= made
+        of_ranks: list[dict[int, Scene]] = [made]
+        if grouped:
+            of_ranks = [{} for _ in range(self.world)]
+            torch.distributed.all_gather_object(of_ranks, made)
+        for scenes_of_one in of_ranks:
+            self._rendered |= scenes_of_one
 
     def _draw(self, what: str, index: int) -> Draw:
         digest = hashlib.blake2b(f"{what} {self.seed} {index}".encode(), digest_size=8).digest()
@@ -216,6 +222,10 @@ class SyntheticCaptures(IterableDataset[dict[str, Tensor]]):
             "albedo": texture * mask,
             "roughness": material.roughness.reshape(1, 1, 1) * mask,
         }
+
+
+def _grouped() -> bool:
+    return torch.distributed.is_available() and torch.distributed.is_initialized()
 
 
 class _Scenes(Dataset[Scene]):
