@@ -153,10 +153,12 @@ def _robust(ratio: Tensor, lights: Tensor, weight: Tensor) -> Tensor:
     vector = _least_squares(ratio, lights, weight)
     half = (torch.ones_like(ratio).sum(1, keepdim=True) / 2).long()  # a size is not to be asked for in a graph
     for _ in range(ROUNDS):
-        missed = (ratio - (lights * vector[:, None]).sum(2).clamp_min(0)).abs()
+        shown = (lights * vector[:, None]).sum(2)
+        missed = (ratio - shown.clamp_min(0)).abs()
         middle = missed.sort(1)[0].gather(1, half)
         share = missed / (2 * (1.4826 * middle).clamp_min(0.02))
-        vector = _least_squares(ratio, lights, weight / (1 + share * share) ** 2)
+        # What is left is solved for, so that nothing but what is left gets rounded.
+        vector = vector + _least_squares(ratio - shown, lights, weight / (1 + share * share) ** 2)
     return vector
 
 
