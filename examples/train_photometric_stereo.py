@@ -163,13 +163,18 @@ def resume(folder: Path, training: Training) -> None:
         raise FileError(str(folder), expected="a checkpoint", got="; ".join(broken), mend="use another --output")
 
 
+def processes_here() -> int:
+    """Processes that torchrun started on this machine."""
+    return int(os.environ.get("LOCAL_WORLD_SIZE", "1"))
+
+
 @contextmanager
 def processes(device: str) -> Iterator[tuple[int, int]]:
     """Rank and number of processes; a group where torchrun started several, also several to a GPU."""
     if "RANK" not in os.environ:
         yield 0, 1
         return
-    gpu_each = device == "cuda" and int(os.environ.get("LOCAL_WORLD_SIZE", "1")) <= torch.cuda.device_count()
+    gpu_each = device == "cuda" and processes_here() <= torch.cuda.device_count()
     dist.init_process_group("nccl" if gpu_each else "gloo")
     try:
         yield dist.get_rank(), dist.get_world_size()
@@ -250,7 +255,7 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
     if options.threads:
         torch.set_num_threads(options.threads)
     if options.workers is None:
-        cores = (os.cpu_count() or 1) // int(os.environ.get("LOCAL_WORLD_SIZE", "1"))
+        cores = (os.cpu_count() or 1) // processes_here()
         options.workers = max(1, cores - 1) if options.device == "cuda" else 0
     return options
 

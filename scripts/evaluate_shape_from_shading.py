@@ -150,6 +150,12 @@ def mit(folder: Path) -> Case:
     return Case(f"MIT-Berkeley {folder.name}", image, direction, mask, normal, 0.0, None, ambient=ambient)
 
 
+def bumpy(size: int) -> Case:
+    """The surface by which methods are timed: a bumpy ellipsoid of roughness 30 degrees, its light 30 degrees off."""
+    field, light, sigma = height_fields.make("bumpy ellipsoid", size), light_at(30), math.radians(30)
+    return Case("", photograph(field, light, sigma, albedo=ALBEDO), light, field.mask, field.normal, sigma, ALBEDO)
+
+
 def failures(size: int, quick: bool) -> dict[str, dict[str, float]]:
     """Median error of `vcavity` by slant of the light and roughness, with and without the contour."""
     field = height_fields.make("bumpy ellipsoid", size)
@@ -159,7 +165,7 @@ def failures(size: int, quick: bool) -> dict[str, dict[str, float]]:
     for kind, slant, degrees in track(grid, "failure map", len(grid)):
         image = photograph(field, light_at(slant), math.radians(degrees), albedo=ALBEDO)
         case = Case("", image, light_at(slant), field.mask, field.normal, math.radians(degrees), ALBEDO)
-        case = case if kind == "contour" else Case(**{**case.__dict__, "contour": False})
+        case = replace(case, contour=kind == "contour")
         found = angular_error(solve(case, "vcavity"), field.normal.float(), field.mask).summary()
         cells[kind][f"light {slant}, roughness {degrees}"] = found["median"]
     return cells
@@ -167,14 +173,13 @@ def failures(size: int, quick: bool) -> dict[str, dict[str, float]]:
 
 def under_ambient(size: int) -> dict[str, dict[str, float]]:
     """Error of `vcavity` with a tenth of the light from all around, which is ignored, told or found."""
-    field, light, sigma = height_fields.make("bumpy ellipsoid", size), light_at(30), math.radians(30)
-    image = photograph(field, light, sigma, albedo=ALBEDO) + 0.1 * ALBEDO * field.mask
-    case = Case("", image, light, field.mask, field.normal, sigma, ALBEDO, ambient=0.1)
+    case = bumpy(size)
+    case = replace(case, image=case.image + 0.1 * ALBEDO * case.mask, ambient=0.1)
     cases = {"ignored": replace(case, ambient=0.0), "told": case, "found": case}
     rows = {}
     for name, each in cases.items():
         found = solve(each, "vcavity, ambient found" if name == "found" else "vcavity")
-        rows[name] = angular_error(found, field.normal.float(), field.mask).summary()
+        rows[name] = angular_error(found, case.normal.float(), case.mask).summary()
     return rows
 
 
@@ -224,8 +229,7 @@ def draw(folder: Path, document: dict[str, Any]) -> None:
 
 def by_steps(size: int) -> dict[int, dict[str, float]]:
     """Error and seconds of `vcavity` against steps per level."""
-    field, light = height_fields.make("bumpy ellipsoid", size), light_at(30)
-    case = Case("", photograph(field, light, 0.5236), light, field.mask, field.normal, 0.5236, ALBEDO)
+    case = bumpy(size)
     curve, kept = {}, surface_fit.STEPS
     for steps in (10, 20, 40, 100, 250):
         surface_fit.STEPS = steps
@@ -262,10 +266,9 @@ def main() -> None:
     for kind, cells in document["failures"].items():
         print(f"median error, {kind}: " + "; ".join(f"{k}: {v:.1f}" for k, v in cells.items()))
     for side in (256, 1024):
-        field, light = height_fields.make("bumpy ellipsoid", side), light_at(30)
-        case = Case("", photograph(field, light, 0.5236), light, field.mask, field.normal, 0.5236, ALBEDO)
+        case = bumpy(side)
         begun = time.perf_counter()
-        found = angular_error(solve(case, "vcavity"), field.normal.float(), field.mask).summary()
+        found = angular_error(solve(case, "vcavity"), case.normal.float(), case.mask).summary()
         document[str(side)] = {"seconds": time.perf_counter() - begun, "median": found["median"]}
         print(f"{side} x {side}: {document[str(side)]['seconds']:.1f} s, median {found['median']:.2f} degrees")
     (options.output / "shape.json").write_text(json.dumps(document, indent=2) + "\n")

@@ -54,7 +54,7 @@ class SyntheticCaptures(IterableDataset[dict[str, Tensor]]):
         lights: fewest and most lights; in scenes 48 at most.
         observations: P times K of ``"pixels"``, about.
         scenes: four in five samples of ``"pixels"`` stand in one of so many rendered scenes, whose parts shade and
-            light each other, the fifth between made-up walls. A scene takes most of a second when it is first needed
+            light each other, the fifth between made-up walls. A scene takes about half a second when it is first needed
             and .6 MB to be kept, in every worker and rank; `render_scenes` makes them all before workers start.
         size: (H, W) of ``"images"``.
         meshes: (vertices, faces) of ``"images"`` and scenes; default: bumpy balls, rings and heaps of balls.
