@@ -1,7 +1,7 @@
 """Models of your own: a Minnaert lobe and a toon step, registered in a few lines, then used like any other.
 
 python examples/custom_reflectance.py
-python scripts/chart_reflectance.py --plugin examples/custom_reflectance.py     # and they are on the chart
+python -m scripts.benchmarks.chart_reflectance --plugin examples/custom_reflectance.py     # and they are on the chart
 """
 
 import sys
@@ -33,7 +33,7 @@ ton.register_model("toon", toon, source="three tones, this example", gradients="
 
 def main(path: str = "custom.png") -> None:
     """Draw a sphere with both, with and without the highlight, and export one as ONNX."""
-    from torch_orennayar.figures import save_sheet, show_light
+    from torch_orennayar.io.figures import save_sheet, show_light
 
     y, x = torch.meshgrid(torch.linspace(1.1, -1.1, 256), torch.linspace(-1.1, 1.1, 256), indexing="ij")
     inside = x * x + y * y < 1

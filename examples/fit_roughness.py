@@ -8,12 +8,12 @@ import math
 import torch
 
 import torch_orennayar as ton
-from torch_orennayar.demo import make_object, spiral_lights
+from torch_orennayar.geometry.primitives import bumpy_ball, spiral_lights
 
 
 def main(steps: int = 150) -> tuple[torch.Tensor, float]:
     """Return the learned albedo (3,) and roughness in degrees; the truth is (0.8, 0.5, 0.2) and 35."""
-    vertices, faces = make_object()
+    vertices, faces = bumpy_ball()
     normal = ton.render_normals(vertices, faces, ton.Camera.orthographic(1.05), (64, 64)).normal
     lights = spiral_lights(8)[None]
     layer = ton.OrenNayar("vcavity")

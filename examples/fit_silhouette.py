@@ -8,8 +8,8 @@ import sys
 import torch
 
 import torch_orennayar as ton
-from torch_orennayar.demo import make_object
-from torch_orennayar.figures import save_sheet
+from torch_orennayar.geometry.primitives import bumpy_ball
+from torch_orennayar.io.figures import save_sheet
 
 SIZE = (96, 96)
 CAMERA = ton.Camera.perspective(0.8, eye=(0.0, 0.0, 3.2))
@@ -17,7 +17,7 @@ CAMERA = ton.Camera.perspective(0.8, eye=(0.0, 0.0, 3.2))
 
 def main(picture: str) -> tuple[list[float], float, list[float]]:
     """Draw start, target and end; returns place, size (truth 0.3, -0.2, 1.5) and losses."""
-    vertices, faces = make_object()
+    vertices, faces = bumpy_ball()
     vertices = vertices * 0.5
     neighbours = ton.face_neighbours(faces)  # once: the faces stay the same
 

@@ -14,7 +14,7 @@ import torch
 import torch.nn.functional as F
 
 import torch_orennayar as ton
-from torch_orennayar.figures import save_curves, save_sheet, show_light
+from torch_orennayar.io.figures import save_curves, save_sheet, show_light
 
 STEPS = 120
 PIXELS = 1500

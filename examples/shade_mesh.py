@@ -9,8 +9,8 @@ import sys
 import torch
 
 import torch_orennayar as ton
-from torch_orennayar.images import write_image
-from torch_orennayar.mesh import normalise_mesh
+from torch_orennayar.geometry.mesh import normalise_mesh
+from torch_orennayar.io.images import write_image
 
 
 def main(mesh: str, picture: str) -> None:

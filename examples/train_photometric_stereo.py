@@ -32,10 +32,10 @@ from torch import Tensor
 from torch.utils.data import DataLoader
 
 from torch_orennayar import SyntheticCaptures, TorchOrenNayarError
-from torch_orennayar.errors import FileError
-from torch_orennayar.files import atomic_path
-from torch_orennayar.progress import track
-from torch_orennayar.set_network import SetNetwork, make_tokens, save_network
+from torch_orennayar.core.errors import FileError
+from torch_orennayar.core.files import atomic_path
+from torch_orennayar.core.progress import track
+from torch_orennayar.stereo.set_network import SetNetwork, make_tokens, save_network
 
 RATE, DECAY, AVERAGE, CLIP = 2e-3, 1e-3, 0.995, 1.0
 WARM_UP = 100

@@ -21,10 +21,10 @@ from kornia.filters import spatial_gradient
 from torch import Tensor, nn
 
 import torch_orennayar as ton
-from torch_orennayar.figures import save_curves, save_sheet, show_light, show_normals
-from torch_orennayar.progress import track
-from torch_orennayar.surface_fit import inflate, normals
-from torch_orennayar.synthetic_pixels import Ingredients
+from torch_orennayar.core.progress import track
+from torch_orennayar.io.figures import save_curves, save_sheet, show_light, show_normals
+from torch_orennayar.shape.surface_fit import inflate, normals
+from torch_orennayar.synthetic.pixels import Ingredients
 
 MATT = Ingredients(
     rough=1.0, glazed=0.0, retro=0.0, falloff=0.0, glossy=0.0, metal=0.0, sheen=0.0, shadows=0, bounce=False,

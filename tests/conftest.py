@@ -1,20 +1,15 @@
 from __future__ import annotations
 
-import math
 import os
 from pathlib import Path
 
-import numpy as np
-import onnxruntime
 import pytest
-import rendered
-import torch
 from hypothesis import settings
 from torch import Tensor
 
-from torch_orennayar import Camera, OrenNayar, render_normals
-from torch_orennayar.capture import save_capture
-from torch_orennayar.demo import make_object, spiral_lights
+from tests.support import rendered_captures
+from tests.support.objects import Scene
+from torch_orennayar.io.capture import save_capture
 
 settings.register_profile("project", deadline=None, derandomize=True, max_examples=40)
 settings.load_profile("project")
@@ -32,33 +27,7 @@ def data() -> Path:
 @pytest.fixture(scope="session")
 def meshes() -> dict[str, tuple[Tensor, Tensor]]:
     """The objects that captures are rendered of."""
-    return rendered.objects()
-
-
-class Scene:
-    """A small rough object with the truth."""
-
-    def __init__(self, *, size: int, lights: int, model: str, sigma_degrees: float, noise: float) -> None:
-        vertices, faces = make_object()
-        surface = render_normals(vertices, faces, Camera.orthographic(1.05), (size, size))
-        self.normal, self.mask = surface.normal[0], surface.mask[0]
-        self.lights = spiral_lights(lights)
-        self.albedo = torch.tensor((0.7, 0.5, 0.3)).reshape(3, 1, 1) * self.mask
-        images = OrenNayar(model)(
-            surface.normal, self.lights[None], albedo=self.albedo[None], roughness=math.radians(sigma_degrees)
-        )[0]
-        generator = torch.Generator().manual_seed(1)
-        images = images + noise * torch.randn(images.shape, generator=generator)
-        self.images: Tensor = images.clamp_min(0) * self.mask
-
-
-def run_graph(path: Path, threads: int = 0, **feeds: Tensor) -> dict[str, Tensor]:
-    """What ONNX Runtime computes, by name; as many threads as it likes where none are named."""
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = threads
-    session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
-    answers = session.run(None, {name: value.numpy() for name, value in feeds.items()})
-    return {o.name: torch.from_numpy(np.asarray(a)) for o, a in zip(session.get_outputs(), answers, strict=True)}
+    return rendered_captures.objects()
 
 
 @pytest.fixture(scope="session")

@@ -4,17 +4,16 @@ import json
 import sys
 from pathlib import Path
 
-import height_fields
 import numpy as np
 import PIL.Image
 import pytest
 import torch
 
+from tests.support import height_fields
 from torch_orennayar import angular_error, decode_normals, load_capture, save_mesh
-from torch_orennayar.calibrate import Ball
 from torch_orennayar.cli import main
-from torch_orennayar.demo import make_object
-from torch_orennayar.images import read_image, to_unit, write_image
+from torch_orennayar.geometry.primitives import Ball, bumpy_ball
+from torch_orennayar.io.images import read_image, to_unit, write_image
 
 
 class Result:
@@ -90,7 +89,7 @@ def test_failed_stereo_leaves_nothing(orennayar: object, capture_folder: Path, t
 
 
 def test_render_draws_a_mesh(orennayar: object, tmp_path: Path) -> None:
-    vertices, faces = make_object()
+    vertices, faces = bumpy_ball()
     save_mesh(tmp_path / "ball.ply", vertices * 7 + 3, faces)
     for extra in ((), ("--fov", 40)):
         result = orennayar("render", tmp_path / "ball.ply", "-o", tmp_path / "out", "--size", 64, *extra)  # type: ignore[operator]
@@ -159,7 +158,7 @@ def test_interruption_is_one_line(orennayar: object, monkeypatch: pytest.MonkeyP
 
 
 def test_render_walks_around_under_many_lights(orennayar: object, tmp_path: Path) -> None:
-    vertices, faces = make_object()
+    vertices, faces = bumpy_ball()
     save_mesh(tmp_path / "ball.ply", vertices, faces)
     out, walk = tmp_path / "out", tmp_path / "walk.gif"
     result = orennayar(  # type: ignore[operator]

@@ -8,7 +8,7 @@ import pytest
 
 from torch_orennayar import save_mesh
 from torch_orennayar.cli import app
-from torch_orennayar.demo import make_object
+from torch_orennayar.geometry.primitives import bumpy_ball
 
 ROOT = Path(__file__).parent.parent
 
@@ -16,7 +16,7 @@ ROOT = Path(__file__).parent.parent
 def test_python_blocks_run_in_order(
     tmp_path: Path, capture_folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    save_mesh(tmp_path / "mesh.obj", *make_object())
+    save_mesh(tmp_path / "mesh.obj", *bumpy_ball())
     shutil.copytree(capture_folder, tmp_path / "photographs")
     monkeypatch.chdir(tmp_path)
     blocks = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.DOTALL)

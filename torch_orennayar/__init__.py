@@ -4,37 +4,124 @@ Conventions: images (B, C, H, W), linear light; camera frame x right, y up, z to
 directions are unit vectors away from the surface; roughness in radians, 0 is Lambert.
 """
 
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
 from ._version import __version__
-from .camera import Camera, swap_opencv_frame
-from .capture import Capture, load_capture
-from .choice import ModelChoice, simplest_model
-from .depth import depth_to_normals
-from .errors import (
-    CaptureError,
-    ExportError,
-    FileError,
-    ModelError,
-    RangeError,
-    ShapeError,
-    TorchOrenNayarError,
-)
-from .export import export_onnx
-from .images import decode_normals, encode_normals, linear_to_srgb, srgb_to_linear
-from .integrate import integrate_normals
-from .mesh import load_mesh, save_mesh, vertex_normals
-from .metrics import AngularError, angular_error
-from .near_light import near_light_stereo
-from .reconstruction import Reconstruction
-from .reflectance import MODELS, Model, register_model, roughness_from_slope, slope_from_roughness
-from .render import NormalMap, render_normals
-from .shading import OrenNayar, brdf, directional_albedo, oren_nayar, point_light
-from .shadow import cast_shadows
-from .shape_from_shading import shape_from_shading
-from .silhouette import antialias, face_neighbours
-from .specular import blinn_phong, microfacet, phong
-from .stereo import photometric_stereo
-from .synthetic import SyntheticCaptures
-from .synthetic_pixels import Ingredients
+
+if TYPE_CHECKING:  # what type checkers and editors read; at run time `__getattr__` loads a name when it is first used
+    from .core.errors import (
+        CaptureError,
+        ExportError,
+        FileError,
+        ModelError,
+        RangeError,
+        ShapeError,
+        TorchOrenNayarError,
+    )
+    from .core.findings import Finding
+    from .export.api import export_onnx
+    from .geometry.camera import Camera, swap_opencv_frame
+    from .geometry.depth import depth_to_normals
+    from .geometry.integrate import integrate_normals
+    from .geometry.mesh import load_mesh, save_mesh, vertex_normals
+    from .geometry.metrics import AngularError, angular_error
+    from .io.capture import Capture, load_capture
+    from .io.images import decode_normals, encode_normals, linear_to_srgb, srgb_to_linear
+    from .reconstruction import Reconstruction
+    from .reflectance.model_choice import ModelChoice, simplest_model
+    from .reflectance.models import MODELS, Model, register_model, roughness_from_slope, slope_from_roughness
+    from .reflectance.specular import blinn_phong, microfacet, phong
+    from .render.antialias import antialias, face_neighbours
+    from .render.normal_map import NormalMap, render_normals
+    from .render.shadow import cast_shadows
+    from .shading.layer import OrenNayar, brdf, directional_albedo, oren_nayar, point_light
+    from .shape.solver import shape_from_shading
+    from .stereo.near_light import near_light_stereo
+    from .stereo.solver import photometric_stereo
+    from .synthetic.captures import SyntheticCaptures
+    from .synthetic.pixels import Ingredients
+
+_HOMES = {
+    "core.errors": (
+        "CaptureError",
+        "ExportError",
+        "FileError",
+        "ModelError",
+        "RangeError",
+        "ShapeError",
+        "TorchOrenNayarError",
+    ),
+    "core.findings": ("Finding",),
+    "export.api": ("export_onnx",),
+    "geometry.camera": (
+        "Camera",
+        "swap_opencv_frame",
+    ),
+    "geometry.depth": ("depth_to_normals",),
+    "geometry.integrate": ("integrate_normals",),
+    "geometry.mesh": (
+        "load_mesh",
+        "save_mesh",
+        "vertex_normals",
+    ),
+    "geometry.metrics": (
+        "AngularError",
+        "angular_error",
+    ),
+    "io.capture": (
+        "Capture",
+        "load_capture",
+    ),
+    "io.images": (
+        "decode_normals",
+        "encode_normals",
+        "linear_to_srgb",
+        "srgb_to_linear",
+    ),
+    "reconstruction": ("Reconstruction",),
+    "reflectance.model_choice": (
+        "ModelChoice",
+        "simplest_model",
+    ),
+    "reflectance.models": (
+        "MODELS",
+        "Model",
+        "register_model",
+        "roughness_from_slope",
+        "slope_from_roughness",
+    ),
+    "reflectance.specular": (
+        "blinn_phong",
+        "microfacet",
+        "phong",
+    ),
+    "render.antialias": (
+        "antialias",
+        "face_neighbours",
+    ),
+    "render.normal_map": (
+        "NormalMap",
+        "render_normals",
+    ),
+    "render.shadow": ("cast_shadows",),
+    "shading.layer": (
+        "OrenNayar",
+        "brdf",
+        "directional_albedo",
+        "oren_nayar",
+        "point_light",
+    ),
+    "shape.solver": ("shape_from_shading",),
+    "stereo.near_light": ("near_light_stereo",),
+    "stereo.solver": ("photometric_stereo",),
+    "synthetic.captures": ("SyntheticCaptures",),
+    "synthetic.pixels": ("Ingredients",),
+}
+"""The module that defines each public name."""
+_MODULE_OF = {name: module for module, names in _HOMES.items() for name in names}
 
 __all__ = [
     "MODELS",
@@ -44,6 +131,7 @@ __all__ = [
     "CaptureError",
     "ExportError",
     "FileError",
+    "Finding",
     "Ingredients",
     "Model",
     "ModelChoice",
@@ -88,3 +176,16 @@ __all__ = [
     "swap_opencv_frame",
     "vertex_normals",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """Load the module of a public name when the name is first used."""
+    if name not in _MODULE_OF:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = globals()[name] = getattr(import_module(f".{_MODULE_OF[name]}", __name__), name)
+    return value
+
+
+def __dir__() -> list[str]:
+    """The public names, for completion."""
+    return sorted(__all__)

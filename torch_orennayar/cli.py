@@ -13,14 +13,14 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from .errors import FileError, RangeError, TorchOrenNayarError
-from .files import check_output
-from .progress import say
+from .core.errors import FileError, RangeError, TorchOrenNayarError
+from .core.files import check_output
+from .core.progress import say
 
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from .camera import Camera
+    from .geometry.camera import Camera
 
 app = typer.Typer(
     help="Rough surfaces: shading, rendering, photometric stereo, shape from shading, ONNX export. Angles are degrees.",
@@ -100,13 +100,13 @@ def render(
     """Draw a mesh: its normal map, depth, and the surface shaded smooth and rough."""
     import torch
 
-    from .figures import show_light
-    from .images import ANIMATIONS, write_animation
-    from .mesh import load_mesh, normalise_mesh
-    from .progress import track
-    from .render import render_normals
-    from .results import write_render
-    from .shading import OrenNayar
+    from .core.progress import track
+    from .geometry.mesh import load_mesh, normalise_mesh
+    from .io.figures import show_light
+    from .io.images import ANIMATIONS, write_animation
+    from .io.results import write_render
+    from .render.normal_map import render_normals
+    from .shading.layer import OrenNayar
 
     check_output(output)
     if turntable is not None:
@@ -147,7 +147,7 @@ def render(
 
 def _camera(azimuth: float, elevation: float, fov: float | None) -> Camera:
     """Look at the unit sphere from a direction in degrees."""
-    from .camera import Camera
+    from .geometry.camera import Camera
 
     a, e = math.radians(azimuth), math.radians(elevation)
     toward = (math.sin(a) * math.cos(e), math.sin(e), math.cos(a) * math.cos(e))
@@ -174,9 +174,9 @@ def stereo(
     seed: Seed = 0,
 ) -> None:
     """Photographs under known lights in; normals, albedo, roughness, depth and a mesh out."""
-    from .capture import load_capture
-    from .results import write_reconstruction
-    from .stereo import photometric_stereo
+    from .io.capture import load_capture
+    from .io.results import write_reconstruction
+    from .stereo.solver import photometric_stereo
 
     if least_squares and model not in ("auto", "lambert"):
         raise RangeError("--least-squares", expected="no --model, or lambert", got=model, mend="leave one of them out")
@@ -236,9 +236,9 @@ def shape(
     encoding: Encoding = "auto",
 ) -> None:
     """One photograph under a known light in; depth, normals and a mesh out."""
-    from .capture import load_photograph
-    from .results import write_reconstruction
-    from .shape_from_shading import shape_from_shading
+    from .io.capture import load_photograph
+    from .io.results import write_reconstruction
+    from .shape.solver import shape_from_shading
 
     check_output(output)
     direction = _direction(light)
@@ -284,9 +284,10 @@ def calibrate(
     encoding: Encoding = "auto",
 ) -> None:
     """Find lights: directions from a chrome ball, intensities from a grey ball or from a capture itself."""
-    from .calibrate import Ball, ball_intensities, find_ball, find_circle, light_directions, own_intensities
-    from .capture import load_ball, load_capture
-    from .results import write_lights
+    from .geometry.primitives import Ball
+    from .io.capture import load_ball, load_capture
+    from .io.results import write_lights
+    from .stereo.calibrate import ball_intensities, find_ball, find_circle, light_directions, own_intensities
 
     if kind not in ("chrome", "grey", "own"):
         raise RangeError("KIND", expected="chrome, grey or own", got=kind, mend="choose one")
@@ -325,7 +326,7 @@ def export(
     """Write an ONNX graph and verify it; the last four options are a renderer's view of the unit sphere."""
     import torch
 
-    from .export import export_onnx
+    from .export.api import export_onnx
 
     check_output(path.parent)
     say("exporting and verifying" + (", about half a minute" if graph in ("renderer", "shaded_mesh") else ""))
@@ -351,7 +352,7 @@ def info(
         return
     from importlib.metadata import version
 
-    from .reflectance import MODELS
+    from .reflectance.models import MODELS
 
     packages = Table("package", "version")
     for name in (
@@ -373,7 +374,7 @@ def info(
 
 
 def _info_graph(path: Path) -> None:
-    from .export import describe_onnx
+    from .export.api import describe_onnx
 
     if path.suffix.lower() != ".onnx":
         raise FileError(str(path), expected="an .onnx file", got=path.suffix or "no suffix", mend="give a graph")

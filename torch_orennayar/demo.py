@@ -13,21 +13,22 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from .camera import Camera
-from .capture import Capture, load_capture, save_capture
-from .export import export_onnx
-from .figures import save_maps, save_sheet, show_light, show_normals
-from .files import atomic_directory
-from .images import linear_to_srgb
-from .integrate import integrate_normals
-from .mesh import depth_to_mesh, save_mesh
-from .metrics import angular_error
-from .progress import say
+from .core.files import atomic_directory
+from .core.progress import say
+from .export.api import export_onnx
+from .geometry.camera import Camera
+from .geometry.integrate import integrate_normals
+from .geometry.mesh import depth_to_mesh, save_mesh
+from .geometry.metrics import angular_error
+from .geometry.primitives import bumpy_ball, spiral_lights
+from .io.capture import Capture, load_capture, save_capture
+from .io.figures import save_maps, save_sheet, show_light, show_normals
+from .io.images import linear_to_srgb
+from .io.report import Section, write_report
 from .reconstruction import Reconstruction
-from .render import NormalMap, render_normals
-from .report import Section, write_report
-from .shading import OrenNayar
-from .stereo import photometric_stereo
+from .render.normal_map import NormalMap, render_normals
+from .shading.layer import OrenNayar
+from .stereo.solver import photometric_stereo
 
 ROUGHNESS = math.radians(30)
 NOISE = 0.01
@@ -46,28 +47,9 @@ class Scene:
     images: Tensor
 
 
-def make_object() -> tuple[Tensor, Tensor]:
-    """A bumpy ball: an icosphere whose radius follows a few smooth waves; (V, 3) and (F, 3)."""
-    import trimesh
-
-    ball = trimesh.creation.icosphere(subdivisions=6)
-    points = torch.tensor(ball.vertices, dtype=torch.float32)
-    x, y, z = points.unbind(1)
-    bumps = 0.05 * torch.sin(6 * x + 1) * torch.cos(5 * y) + 0.035 * torch.sin(9 * y - 4 * z) + 0.02 * torch.cos(12 * x)
-    return points * (0.9 + bumps)[:, None], torch.tensor(ball.faces)
-
-
-def spiral_lights(count: int, widest: float = math.radians(60)) -> Tensor:
-    """``count`` unit directions spread evenly over a cone about the view axis, (count, 3)."""
-    index = torch.arange(count) + 0.5
-    cosine = 1 - index / count * (1 - math.cos(widest))
-    sine, azimuth = (1 - cosine**2).sqrt(), index * math.pi * (3 - math.sqrt(5))
-    return torch.stack((sine * azimuth.cos(), sine * azimuth.sin(), cosine), 1)
-
-
 def make_scene(size: int, seed: int) -> Scene:
     """Render the object with ``vcavity`` at 30 degrees under 24 lights, with 1 % noise."""
-    vertices, faces = make_object()
+    vertices, faces = bumpy_ball()
     camera = Camera.orthographic(1.05)
     surface = render_normals(vertices, faces, camera, (size, size))
     points = camera.points(torch.where(surface.mask, surface.depth, 0.0))

@@ -9,9 +9,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from .errors import ShapeError
-from .shading import OrenNayar
-from .specular import blinn_phong
+from .core.errors import ShapeError
+from .reflectance.specular import blinn_phong
+from .shading.layer import OrenNayar
 
 
 @dataclass(frozen=True)

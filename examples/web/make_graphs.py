@@ -7,9 +7,9 @@ import sys
 from pathlib import Path
 
 import torch_orennayar as ton
-from torch_orennayar.demo import make_object
-from torch_orennayar.images import write_image
-from torch_orennayar.mesh import normalise_mesh
+from torch_orennayar.geometry.mesh import normalise_mesh
+from torch_orennayar.geometry.primitives import bumpy_ball
+from torch_orennayar.io.images import write_image
 
 SIZE = (512, 512)
 MODELS = ("lambert", "qualitative", "vcavity")
@@ -28,7 +28,7 @@ def main(folder: str) -> None:
     ton.export_onnx("stereo", target / "stereo_network.onnx", model="network")
     print("exporting the renderer, about half a minute", flush=True)
     ton.export_onnx("renderer", target / "renderer.onnx", camera=camera, size=SIZE)
-    vertices, faces = make_object()
+    vertices, faces = bumpy_ball()
     seen = ton.render_normals(normalise_mesh(vertices), faces, camera, SIZE)
     write_image(target / "normal.png", ton.encode_normals(seen.normal[0]))
 

@@ -1,0 +1,127 @@
+"""Times of calls on this machine, interleaved so that all meet the same weather; peaks of memory in fresh processes."""
+
+from __future__ import annotations
+
+import multiprocessing
+import time
+from collections.abc import Callable, Mapping
+from multiprocessing.connection import Connection
+from pathlib import Path
+from statistics import median
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_orennayar.core.progress import track
+
+Call = Callable[[], object]
+
+
+class Ratio(NamedTuple):
+    """Median, least and most of a quotient of times."""
+
+    median: float
+    least: float
+    most: float
+
+    def __str__(self) -> str:
+        """As tables show it."""
+        return f"{self.median:.2f} ({self.least:.2f} to {self.most:.2f})"
+
+
+def interleave(calls: Mapping[str, Call], runs: int, what: str = "", *, warm: int = 2) -> dict[str, list[float]]:
+    """Milliseconds of every call in every run but the first ``warm``; one call after the other, run by run."""
+    taken: dict[str, list[float]] = {name: [] for name in calls}
+    for _ in track(range(runs + warm), what) if what else range(runs + warm):
+        for name, call in calls.items():
+            begun = time.perf_counter()
+            call()
+            if torch.cuda.is_available():
+                torch.cuda.synchronize()
+            taken[name].append((time.perf_counter() - begun) * 1e3)
+    return {name: t[warm:] for name, t in taken.items()}
+
+
+def ratio(times: Mapping[str, list[float]], name: str, to: str) -> Ratio:
+    """Time of ``name`` over that of ``to`` in the same run."""
+    quotients = [a / b for a, b in zip(times[name], times[to], strict=True)]
+    return Ratio(median(quotients), min(quotients), max(quotients))
+
+
+def forward(function: Callable[..., Tensor], scene: list[Tensor]) -> Call:
+    """A call that computes values alone."""
+
+    def call() -> Tensor:
+        with torch.no_grad():
+            return function(*scene)
+
+    return call
+
+
+def both(function: Callable[..., Tensor], scene: list[Tensor]) -> Call:
+    """A call that computes values and the gradients of all arguments."""
+    leaves = [t.clone(memory_format=torch.preserve_format).requires_grad_() for t in scene]
+    with torch.no_grad():
+        arriving = torch.ones_like(function(*leaves))
+    return lambda: torch.autograd.grad(function(*leaves), leaves, arriving, allow_unused=True)
+
+
+def peak_bytes(make: Callable[..., Call], size: int, *arguments: object) -> int | None:
+    """Memory that ``make(size, *arguments)()`` needs beyond what a fresh process held; Linux only."""
+    if not Path("/proc/self/clear_refs").exists():
+        return None
+    context = multiprocessing.get_context("spawn")
+    receiver, sender = context.Pipe(duplex=False)
+    process = context.Process(target=_measure, args=(sender, make, size, arguments))
+    process.start()
+    sender.close()
+    result: int = receiver.recv()
+    process.join()
+    return result
+
+
+def alone(function: Callable[..., object], *arguments: object) -> Any:
+    """What ``function`` returns in a fresh process, where no other library's threads spin; or the error it raised."""
+    context = multiprocessing.get_context("spawn")
+    receiver, sender = context.Pipe(duplex=False)
+    process = context.Process(target=_answer, args=(sender, function, arguments))
+    process.start()
+    sender.close()
+    try:
+        result = receiver.recv()
+    except EOFError:  # it was killed from inside, as a compiler of kernels may do
+        result = RuntimeError("the process died")
+    process.join()
+    return result
+
+
+def _answer(sender: Connection, function: Callable[..., object], arguments: tuple[object, ...]) -> None:
+    try:
+        sender.send(function(*arguments))
+    except Exception as error:  # goes to whoever asked
+        sender.send(RuntimeError(f"{type(error).__name__}: {str(error).partition(chr(10))[0]}"))
+
+
+def _measure(sender: Connection, make: Callable[..., Call], size: int, arguments: tuple[object, ...]) -> None:
+    make(16, *arguments)()  # code and threads are loaded, and no memory to speak of kept
+    call = make(size, *arguments)
+    forget_peak()
+    before = _status("VmRSS")
+    call()
+    sender.send(peak_memory() - before)
+
+
+def forget_peak() -> None:
+    """Reset the high-water mark of memory, which a process inherits from its parent."""
+    Path("/proc/self/clear_refs").write_text("5")
+
+
+def peak_memory() -> int:
+    """The most bytes that this process has held since it forgot its peak."""
+    return _status("VmHWM")
+
+
+def _status(field: str) -> int:
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return 1024 * int(next(line.split()[1] for line in lines if line.startswith(field + ":")))

@@ -1,0 +1,259 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import onnxruntime
+import pytest
+import torch
+import torch.nn.functional as F
+import trimesh
+
+from tests.support.objects import run_graph
+from torch_orennayar import (
+    MODELS,
+    Camera,
+    ExportError,
+    ModelError,
+    OrenNayar,
+    ShapeError,
+    export_onnx,
+    load_mesh,
+    oren_nayar,
+    register_model,
+    render_normals,
+)
+from torch_orennayar.export import api as export
+from torch_orennayar.export import shading_graph
+from torch_orennayar.export.api import describe_onnx
+from torch_orennayar.geometry.mesh import normalise_mesh
+from torch_orennayar.reflectance.models import ModelFunction, _models
+
+
+def run(path: Path, **feeds: torch.Tensor) -> torch.Tensor:
+    """The only answer of a graph."""
+    (answer,) = run_graph(path, **feeds).values()
+    return answer
+
+
+@pytest.mark.parametrize("rows_a_band", [1, 7, 1000])
+def test_bands_of_rows_are_the_whole_whatever_broadcasts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rows_a_band: int
+) -> None:
+    """Several bands with a rest; maps of one row or one column beside full ones; runs repeat to the bit."""
+    generator = torch.Generator().manual_seed(3)
+    monkeypatch.setattr(shading_graph, "BAND", 2 * 11 * rows_a_band)
+    path = export_onnx("shading", tmp_path / "graph.onnx", model="vcavity")
+    up = torch.tensor([0.0, 0, 1]).reshape(1, 3, 1, 1)
+    for normal, light, albedo, roughness in (
+        ((2, 3, 17, 11), (2, 3, 1, 1), (2, 3, 17, 11), (1, 1, 17, 11)),
+        ((1, 3, 17, 11), (2, 3, 1, 1), (1, 1, 1, 11), (1, 1, 17, 1)),
+        ((2, 3, 1, 1), (1, 3, 1, 1), (1, 2, 17, 11), (1, 1, 1, 1)),
+    ):
+        inputs = {
+            "normal": F.normalize(torch.randn(normal, generator=generator), dim=1),
+            "light": F.normalize(torch.randn(light, generator=generator), dim=1),
+            "view": up,
+            "albedo": torch.rand(albedo, generator=generator),
+            "roughness": torch.rand(roughness, generator=generator),
+        }
+        wanted = oren_nayar(**inputs, model="vcavity")
+        answers = [run(path, **inputs) for _ in range(3)]
+        assert answers[0].shape == wanted.shape
+        assert (answers[0] - wanted).abs().max() <= 1e-5
+        assert all(torch.equal(a, answers[0]) for a in answers)
+
+
+def test_maps_that_do_not_fit_fail_and_empty_pictures_do_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(shading_graph, "BAND", 10 * 4)
+    path = export_onnx("shading", tmp_path / "graph.onnx", model="vcavity")
+    per_pixel = export_onnx("shading", tmp_path / "maps.onnx", model="vcavity", per_pixel_directions=True)
+    assert capfd.readouterr().err == ""  # the runtime has nothing to warn of
+    one = torch.tensor([0.0, 0, 1]).reshape(1, 3, 1, 1)
+    normal = one.repeat(1, 1, 41, 4)
+    for height in (4, 10, 11, 20, 21, 40, 42):
+        albedo = torch.rand(1, 1, height, 4)
+        for file in (path, per_pixel):
+            with pytest.raises(Exception, match="ONNXRuntimeError"):
+                run(file, normal=normal, light=one, view=one, albedo=albedo, roughness=one[:, :1])
+    for shape in ((0, 3, 41, 4), (1, 3, 0, 4), (1, 3, 41, 0)):
+        for file in (path, per_pixel) if shape[0] else (per_pixel,):  # no product of matrices has an empty batch
+            empty = run(file, normal=torch.zeros(shape), light=one, view=one, albedo=one[:, :1], roughness=one[:, :1])
+            assert empty.shape == (shape[0], 1, *shape[2:])
+
+
+def test_models_of_users_export_with_the_rounding_that_they_have(tmp_path: Path) -> None:
+    formulas: dict[str, ModelFunction] = {
+        "by acos": lambda ci, co, lv, rho, sigma: rho * ci.acos(),
+        "bright": lambda ci, co, lv, rho, sigma: 50 * rho * (ci * co) ** sigma,
+        "no albedo": lambda ci, co, lv, rho, sigma: ci * co,
+        "albedo alone": lambda ci, co, lv, rho, sigma: rho * 1.0,
+    }
+    for name, formula in formulas.items():
+        try:
+            register_model(name, formula)
+            assert export_onnx("shading", tmp_path / f"{name}.onnx", model=name).exists()
+        finally:
+            _models.pop(name, None)
+
+
+@pytest.mark.parametrize("model", list(MODELS)[:7])
+def test_graph_equals_torch_at_new_sizes(tmp_path: Path, model: str) -> None:
+    path = export_onnx("shading", tmp_path / "graph.onnx", model=model)
+    for seed, (batch, channels, height, width) in enumerate(((4, 3, 33, 17), (1, 1, 1, 64), (2, 5, 128, 96))):
+        generator = torch.Generator().manual_seed(seed)
+        inputs = {
+            "normal": F.normalize(torch.randn(batch, 3, height, width, generator=generator), dim=1),
+            "light": F.normalize(torch.randn(batch, 3, 1, 1, generator=generator), dim=1),
+            "view": torch.tensor([0.0, 0, 1]).reshape(1, 3, 1, 1),
+            "albedo": torch.rand(batch, channels, height, width, generator=generator),
+            "roughness": torch.rand(1, 1, 1, 1, generator=generator),
+        }
+        wanted = oren_nayar(**inputs, model=model)
+        answer = run(path, **inputs)
+        assert answer.shape == wanted.shape
+        assert (answer - wanted).abs().max() <= 1e-5
+
+
+def test_per_pixel_directions(tmp_path: Path) -> None:
+    path = export_onnx("shading", tmp_path / "graph.onnx", model="vcavity", per_pixel_directions=True)
+    generator = torch.Generator().manual_seed(0)
+    normal, light, view = (F.normalize(torch.randn(2, 3, 6, 7, generator=generator), dim=1) for _ in range(3))
+    albedo, roughness = torch.rand(2, 3, 6, 7), torch.rand(2, 1, 6, 7)
+    wanted = oren_nayar(normal, light, view, albedo, roughness, model="vcavity")
+    answer = run(path, normal=normal, light=light, view=view, albedo=albedo, roughness=roughness)
+    assert (answer - wanted).abs().max() <= 1e-5
+
+
+def test_broken_pixels_are_zero_in_the_graph_too(tmp_path: Path) -> None:
+    path = export_onnx("shading", tmp_path / "graph.onnx", model="vcavity")
+    normal = torch.tensor([0.0, 0, 1]).reshape(1, 3, 1, 1).repeat(1, 1, 1, 3)
+    normal[..., 0], normal[..., 1] = torch.nan, 0
+    up = torch.tensor([0.0, 0, 1]).reshape(1, 3, 1, 1)
+    answer = run(
+        path, normal=normal, light=up, view=up, albedo=torch.ones(1, 1, 1, 1), roughness=torch.full((1, 1, 1, 1), 0.5)
+    )
+    assert answer.flatten()[:2].tolist() == [0, 0]
+    assert answer.flatten()[2] > 0.5
+
+
+def test_description_names_inputs_axes_and_units(tmp_path: Path) -> None:
+    described = describe_onnx(export_onnx("shading", tmp_path / "graph.onnx", model="qualitative"))
+    assert list(described["inputs"]) == ["normal", "light", "view", "albedo", "roughness"]
+    assert described["inputs"]["light"] == ["light_batch", "3", "1", "1"]
+    assert described["outputs"] == {"shading": ["shading_batch", "shading_channels", "shading_height", "shading_width"]}
+    assert described["opset"] == 18
+    assert described["operators"]["Loop"] == 1
+    assert described["operators"]["MatMul"] == 2
+    assert described["operators"]["Relu"] == 1  # inside the loop
+    assert described["metadata"]["model"] == "qualitative"
+    assert "radians" in described["metadata"]["roughness"]
+    assert described["bytes"] < 300_000
+
+
+def test_no_names_of_this_machine_in_the_file(tmp_path: Path) -> None:
+    data = export_onnx("shading", tmp_path / "graph.onnx").read_bytes()
+    assert b"site-packages" not in data
+    assert str(Path(export.__file__).parent).encode() not in data
+
+
+def test_a_graph_that_differs_is_not_left_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(export, "TOLERANCE", -1.0)
+    with pytest.raises(ExportError, match="difference"):
+        export_onnx("shading", tmp_path / "graph.onnx", model="lambert")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.fixture(scope="module", params=["orthographic", "perspective"])
+def renderer(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Path, Camera]:
+    """A renderer, and a renderer with shading behind it; at a size whose maps would not fit into the file."""
+    path = tmp_path_factory.mktemp("graph") / f"{request.param}.onnx"
+    if request.param == "orthographic":
+        camera = Camera.orthographic(1.05, (0.5, 0.6, 2.0))
+        return "renderer", export_onnx("renderer", path, camera=camera, size=SIZE), camera
+    camera = Camera.perspective(1.6, (0.3, 0.4, 1.1))
+    return "shaded_mesh", export_onnx("shaded_mesh", path, camera=camera, size=SIZE, model="vcavity"), camera
+
+
+SIZE = (384, 512)
+
+
+def render(path: Path, *inputs: torch.Tensor, threads: int = 0) -> dict[str, torch.Tensor]:
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = threads
+    session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+    names = [i.name for i in session.get_inputs()]
+    answers = session.run(None, {n: v.numpy() for n, v in zip(names, inputs, strict=True)})
+    return dict(zip([o.name for o in session.get_outputs()], map(torch.from_numpy, answers), strict=True))
+
+
+def check_render(renderer: tuple[str, Path, Camera], vertices: torch.Tensor, faces: torch.Tensor) -> None:
+    what, path, camera = renderer
+    light = F.normalize(torch.tensor([[0.0, 0, 1], [1, 1, 1], [-1, 0.5, 0.2]]), dim=1)
+    albedo = torch.tensor([0.8, 0.4])
+    inputs = (vertices, faces) if what == "renderer" else (vertices, faces, light, albedo, torch.tensor([0.6]))
+    answers = [render(path, *inputs, threads=threads) for threads in (1, 2, 4, 4)]
+    for other in answers[1:]:
+        assert all(torch.equal(a, b) for a, b in zip(answers[0].values(), other.values(), strict=True))
+    seen, found = render_normals(vertices, faces, camera, SIZE), answers[0]
+    assert torch.equal(found["face"], seen.face)
+    assert torch.equal(found["mask"], seen.mask)
+    assert torch.equal(found["depth"].isinf(), ~seen.mask)
+    assert torch.allclose(found["depth"], seen.depth, rtol=1e-5, atol=1e-5)
+    assert torch.allclose(found["normal"], seen.normal, atol=1e-5)
+    if what == "shaded_mesh":
+        wanted = seen.shade(OrenNayar("vcavity"), light[None], albedo=albedo.reshape(1, 2, 1, 1), roughness=0.6)[0]
+        assert torch.allclose(found["shading"], wanted, atol=1e-5)
+
+
+def test_renderer_sees_the_faces_that_torch_sees(renderer: tuple[str, Path, Camera]) -> None:
+    ball = trimesh.creation.icosphere(4)
+    check_render(renderer, torch.tensor(ball.vertices).float(), torch.tensor(ball.faces))
+    generator = torch.Generator().manual_seed(5)
+    for count, spread in ((1, 5.0), (60, 1.0), (5000, 0.05)):  # some cross the near plane
+        corners = torch.randn(count, 1, 3, generator=generator) + torch.randn(count, 3, 3, generator=generator) * spread
+        check_render(renderer, corners.reshape(-1, 3), torch.arange(3 * count).reshape(-1, 3))
+
+
+@pytest.mark.parametrize("name", ["stanford-bunny", "spot", "suzanne", "teapot", "nefertiti"])
+def test_renderer_sees_the_same_faces_of_real_meshes(renderer: tuple[str, Path, Camera], data: Path, name: str) -> None:
+    vertices, faces = load_mesh(data / "meshes" / f"{name}.obj")
+    check_render(renderer, normalise_mesh(vertices), faces)
+
+
+def test_renderer_is_a_small_file_without_races(renderer: tuple[str, Path, Camera]) -> None:
+    what, path, _ = renderer
+    described = describe_onnx(path)
+    assert described["bytes"] <= 300_000
+    assert described["opset"] == 18
+    assert described["inputs"]["vertices"] == ["vertices", "3"]
+    assert described["inputs"]["faces"] == ["faces", "3"]
+    assert described["outputs"]["face"] == ["1", "1", *map(str, SIZE)]
+    assert not {"ScatterND", "Inverse"} & set(described["operators"])
+    assert described["metadata"]["graph"] == what
+    assert "perspective" in described["metadata"]["camera"] or what == "renderer"
+    assert b"site-packages" not in path.read_bytes()
+
+
+@pytest.mark.parametrize("missing", [{"camera": None}, {"size": None}, {"camera": Camera.orthographic(torch.ones(2))}])
+def test_a_renderer_needs_one_camera_and_a_size(tmp_path: Path, missing: dict[str, object]) -> None:
+    arguments = {"camera": Camera.orthographic(), "size": (4, 4)} | missing
+    with pytest.raises(ExportError, match="camera"):
+        export_onnx("renderer", tmp_path / "graph.onnx", **arguments)  # type: ignore[arg-type]
+
+
+def test_a_renderer_has_the_limits_of_render_normals(tmp_path: Path) -> None:
+    with pytest.raises(ShapeError, match="size"):
+        export_onnx("renderer", tmp_path / "graph.onnx", camera=Camera.orthographic(), size=(1, 80_000))
+
+
+def test_bad_input(tmp_path: Path) -> None:
+    with pytest.raises(ExportError, match="shading"):
+        export_onnx("shadow", tmp_path / "graph.onnx")
+    with pytest.raises(ModelError, match="vcavity"):
+        export_onnx("shading", tmp_path / "graph.onnx", model="phong")
+    (tmp_path / "no.onnx").write_bytes(b"rubbish")
+    for name in ("no.onnx", "absent.onnx"):
+        with pytest.raises(ExportError, match=name):
+            describe_onnx(tmp_path / name)

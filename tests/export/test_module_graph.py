@@ -1,0 +1,118 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import onnxruntime
+import pytest
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from torch_orennayar import Camera, ExportError, OrenNayar, export_onnx, oren_nayar
+from torch_orennayar.export.api import describe_onnx
+
+
+class Relighter(nn.Module):
+    """A small network that predicts normals, and the layer behind it."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.net = nn.Sequential(nn.Conv2d(3, 8, 3, padding=1), nn.ReLU(), nn.Dropout(0.5), nn.Conv2d(8, 3, 1))
+        self.layer = OrenNayar("vcavity")
+
+    def forward(self, picture: Tensor, light: Tensor) -> tuple[Tensor, Tensor]:
+        up = picture.new_tensor([0.0, 0.0, 1.0]).reshape(1, 3, 1, 1)
+        normal = F.normalize(0.3 * self.net(picture) + up, dim=1)
+        return self.layer(normal, light, albedo=0.7, roughness=0.4), normal
+
+
+def test_a_module_with_the_layer_inside(tmp_path: Path) -> None:
+    torch.manual_seed(0)
+    module = Relighter().train()
+    example = (torch.rand(2, 3, 8, 9), F.normalize(torch.randn(2, 3), dim=1))
+    path = export_onnx(
+        module, tmp_path / "net.onnx", example_inputs=example, input_names=("picture", "light"),
+        output_names=("shading", "normal"),
+    )  # fmt: skip
+    assert module.training
+    assert all(p.grad is None for p in module.parameters())
+    described = describe_onnx(path)
+    assert described["inputs"]["picture"] == ["picture_axis0", "3", "picture_axis2", "picture_axis3"]
+    assert described["inputs"]["light"] == ["picture_axis0", "3"]
+    assert described["metadata"]["graph"] == "Relighter"
+    session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
+    picture, light = torch.rand(5, 3, 20, 13), F.normalize(torch.randn(5, 3), dim=1)
+    answers = session.run(None, {"picture": picture.numpy(), "light": light.numpy()})
+    with torch.no_grad():
+        wanted = module.eval()(picture, light)
+    for answer, value in zip(answers, wanted, strict=True):
+        assert np.abs(answer - value.numpy()).max() <= 1e-5
+
+
+class Branch(nn.Module):
+    def forward(self, x: Tensor) -> Tensor:
+        return x + 1 if x.sum() > 0 else x - 1
+
+
+class Named(nn.Module):
+    def forward(self, x: Tensor) -> dict[str, Tensor]:
+        return {"x": x}
+
+
+class Noisy(nn.Module):
+    def forward(self, x: Tensor) -> Tensor:
+        return x + torch.rand_like(x)
+
+
+@pytest.mark.parametrize(
+    ("module", "example", "message"),
+    [
+        (Branch(), (torch.rand(3, 4),), "branches"),
+        (Named(), (torch.rand(3, 4),), "returns tensors"),
+        (Relighter(), (torch.rand(3, 4),), "Relighter takes"),
+        (Noisy(), (torch.rand(3, 4),), "torch's"),
+        (nn.ReLU(), None, "example_inputs"),
+        (nn.ReLU(), (1.0,), "example_inputs"),
+    ],
+)
+def test_modules_that_do_not_export_say_why(
+    tmp_path: Path, module: nn.Module, example: tuple[Tensor, ...] | None, message: str
+) -> None:
+    with pytest.raises(ExportError, match=message):
+        export_onnx(module, tmp_path / "net.onnx", example_inputs=example)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_half_precision_ends(tmp_path: Path) -> None:
+    """Inputs and outputs are float16, the graph between computes in float32, as the layer does."""
+    path = export_onnx("shading", tmp_path / "half.onnx", model="vcavity", dtype=torch.float16)
+    assert describe_onnx(path)["metadata"]["precision"] == "float16"
+    generator = torch.Generator().manual_seed(0)
+    scene = {
+        "normal": F.normalize(torch.randn(1, 3, 40, 50, generator=generator), dim=1),
+        "light": torch.tensor([0.6, 0.0, 0.8]).reshape(1, 3, 1, 1),
+        "view": torch.tensor([0.0, 0.0, 1.0]).reshape(1, 3, 1, 1),
+        "albedo": torch.rand(1, 3, 40, 50, generator=generator),
+        "roughness": torch.rand(1, 1, 40, 50, generator=generator),
+    }
+    scene = {name: value.half() for name, value in scene.items()}
+    session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
+    (answer,) = session.run(None, {name: value.numpy() for name, value in scene.items()})
+    wanted = oren_nayar(**scene, model="vcavity")
+    assert answer.dtype == np.float16
+    assert np.abs(answer.astype(np.float32) - wanted.float().numpy()).max() <= 2**-10
+
+
+def test_half_precision_of_the_others(tmp_path: Path) -> None:
+    path = export_onnx("stereo", tmp_path / "stereo.onnx", model="lambert", dtype=torch.float16)
+    session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
+    assert [i.type for i in session.get_inputs()] == ["tensor(float16)", "tensor(float16)", "tensor(bool)"]
+    path = export_onnx(
+        "renderer", tmp_path / "renderer.onnx", camera=Camera.orthographic(), size=(20, 24), dtype=torch.float16
+    )
+    session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
+    types = [o.type for o in session.get_outputs()]
+    assert types == ["tensor(float16)", "tensor(bool)", "tensor(float16)", "tensor(int64)"]
+    with pytest.raises(ExportError, match="float16"):
+        export_onnx("shading", tmp_path / "wide.onnx", dtype=torch.float64)

@@ -1,0 +1,153 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import torch
+import trimesh
+from hypothesis import given
+from hypothesis import strategies as st
+
+from torch_orennayar import (
+    Camera,
+    FileError,
+    RangeError,
+    ShapeError,
+    load_mesh,
+    render_normals,
+    save_mesh,
+    vertex_normals,
+)
+from torch_orennayar.geometry.mesh import depth_to_mesh, normalise_mesh
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".obj", ".glb", ".stl", ".off"])
+def test_round_trip(tmp_path: Path, suffix: str) -> None:
+    ball = trimesh.creation.icosphere(1)
+    vertices, faces = torch.tensor(ball.vertices), torch.tensor(ball.faces)
+    save_mesh(tmp_path / f"ball{suffix}", vertices, faces)
+    found, triangles = load_mesh(tmp_path / f"ball{suffix}")
+    assert found.dtype == torch.float32
+    assert triangles.dtype == torch.int64
+    assert len(found) == len(vertices)  # STL repeats vertices; loading joins them
+    a, b = (v.double()[f].mean(1) for v, f in ((vertices, faces), (found, triangles)))
+    assert torch.cdist(a, b).amin(1).max() < 1e-5
+
+
+def test_quads_are_split_and_seams_are_joined(tmp_path: Path) -> None:
+    text = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv 2 0 0\nv 2 1 0\nvt 0 0\nvt 1 1\n"
+    (tmp_path / "q.obj").write_text(text + "f 1/1 2/1 3/1 4/1\nf 2/2 5/2 6/2 3/2\n")
+    vertices, faces = load_mesh(tmp_path / "q.obj")
+    assert vertices.shape == (6, 3)
+    assert faces.shape == (4, 3)
+
+
+def test_comments_in_other_encodings(tmp_path: Path) -> None:
+    (tmp_path / "latin.obj").write_bytes(b"# cr\xe9\xe9\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    assert load_mesh(tmp_path / "latin.obj")[0].shape == (3, 3)
+
+
+def test_colours_are_written(tmp_path: Path) -> None:
+    save_mesh(tmp_path / "c.ply", torch.eye(3), torch.tensor([[0, 1, 2]]), torch.tensor([[1.0, 0, 0]]).expand(3, 3))
+    assert trimesh.load_mesh(tmp_path / "c.ply").visual.vertex_colors[0].tolist() == [255, 0, 0, 255]
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "error"),
+    [
+        ("a.obj", b"", FileError),
+        ("a.obj", b"v 0 0 0\n", FileError),
+        ("a.obj", b"v 0 0 0\nv 1 0 0\nv 0 nan 0\nf 1 2 3\n", RangeError),
+        ("a.ply", b"ply\nformat binary_little_endian 1.0\nelement vertex 9\n", FileError),
+        ("a.stl", b"\x00" * 80 + b"\xff\xff\xff\x7f", FileError),
+        ("a.glb", b"glTF rubbish", FileError),
+        ("a.xyz1", b"", FileError),
+    ],
+)
+def test_damaged_files(tmp_path: Path, name: str, content: bytes, error: type[Exception]) -> None:
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(error, match=name):
+        load_mesh(tmp_path / name)
+
+
+def test_saving_what_cannot_be_saved(tmp_path: Path) -> None:
+    with pytest.raises(FileError, match="ply"):
+        save_mesh(tmp_path / "a.xyz1", torch.eye(3), torch.tensor([[0, 1, 2]]))
+    with pytest.raises(ShapeError):
+        save_mesh(tmp_path / "a.ply", torch.eye(4), torch.tensor([[0, 1, 2]]))
+    assert list(tmp_path.iterdir()) == []
+
+
+@given(st.integers(0, 100), st.floats(0.01, 1000))
+def test_normalised_meshes_fit_the_unit_sphere(seed: int, scale: float) -> None:
+    cloud = torch.randn(20, 3, generator=torch.Generator().manual_seed(seed)) * scale + scale
+    placed = normalise_mesh(cloud)
+    assert placed.norm(dim=1).max() <= 1 + 1e-4
+    assert torch.allclose(placed.amin(0), -placed.amax(0), atol=1e-4)
+
+
+@pytest.mark.parametrize("perspective", [False, True])
+def test_depth_to_mesh_renders_back(perspective: bool) -> None:
+    """A depth map made a mesh and drawn by the same camera gives the depth again."""
+    camera = Camera.perspective(0.9, (0.0, 0.0, 3.0)) if perspective else Camera.orthographic(1.2)
+    ball = trimesh.creation.icosphere(4)
+    seen = render_normals(torch.tensor(ball.vertices).float(), torch.tensor(ball.faces), camera, (48, 48))
+    vertices, faces, pixels = depth_to_mesh(torch.where(seen.mask, seen.depth, 0.0)[0], seen.mask[0], camera)
+    assert len(pixels) == len(vertices) == int(seen.mask.sum())
+    identity = Camera(torch.eye(3)[None], torch.zeros(1, 3), camera.focal, camera.centre, camera.is_perspective)
+    again = render_normals(vertices, faces, identity, (48, 48))
+    both = again.mask & seen.mask
+    assert both.sum() > 0.9 * seen.mask.sum()
+    assert (again.depth - seen.depth)[both].abs().max() < 1e-3
+    flat = vertices[faces]
+    normal = torch.linalg.cross(flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0])
+    toward = -(normal * flat[:, 0]).sum(1) if perspective else normal[:, 2]
+    assert (toward > 0).all()
+
+
+def test_heights_in_pixels_make_a_mesh_in_pixels() -> None:
+    mask = torch.ones(1, 2, 3, dtype=torch.bool)
+    vertices, faces, _ = depth_to_mesh(torch.arange(6.0).reshape(1, 2, 3), mask)
+    assert vertices[0].tolist() == [-1.0, 0.5, 0.0]
+    assert vertices[5].tolist() == [1.0, -0.5, 5.0]
+    assert len(faces) == 4
+
+
+def test_vertex_normals_are_exact_on_a_sphere_however_it_is_cut() -> None:
+    """Points in irregular places; weights by angle would err."""
+    points = torch.nn.functional.normalize(
+        torch.randn(400, 3, generator=torch.Generator().manual_seed(0)).double(), dim=1
+    )
+    hull = trimesh.convex.convex_hull(points.numpy())
+    vertices, faces = torch.tensor(hull.vertices), torch.tensor(hull.faces)
+    if hull.volume < 0:
+        faces = faces.flip(1)
+    for scale in (1e-6, 1.0, 1e6):
+        normals = vertex_normals(vertices * scale, faces)
+        assert torch.allclose(normals, vertices, atol=1e-9)
+    assert torch.allclose(
+        vertex_normals(torch.stack((vertices, -vertices)), faces)[1], vertices, atol=1e-9
+    )  # inside out
+
+
+def test_vertices_without_area_have_no_normal_and_finite_gradients() -> None:
+    vertices = torch.tensor([[0.0, 0, 0], [1, 0, 0], [2, 0, 0], [0, 0, 0]], requires_grad=True)
+    normals = vertex_normals(vertices, torch.tensor([[0, 1, 2], [0, 3, 1], [1, 1, 1]]))
+    assert (normals == 0).all()
+    normals.sum().backward()
+    assert vertices.grad is not None
+    assert vertices.grad.isfinite().all()
+
+
+@pytest.mark.parametrize(
+    ("vertices", "faces", "error"),
+    [
+        (torch.eye(3), torch.tensor([[0, 1, 3]]), RangeError),
+        (torch.eye(3), torch.tensor([[0, 1, 2, 2]]), ShapeError),
+        (torch.eye(3)[:, :2], torch.tensor([[0, 1, 2]]), ShapeError),
+        (torch.eye(3).long(), torch.tensor([[0, 1, 2]]), ShapeError),
+    ],
+)
+def test_normals_of_what_is_no_mesh(vertices: torch.Tensor, faces: torch.Tensor, error: type[Exception]) -> None:
+    with pytest.raises(error):
+        vertex_normals(vertices, faces)

@@ -1,0 +1,91 @@
+"""Objects whose roughness differs from place to place."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from torch import Tensor
+
+from tests.support import rendered_captures
+from torch_orennayar import angular_error, photometric_stereo
+from torch_orennayar.stereo import row_bands as bands
+from torch_orennayar.stereo.material import Material
+from torch_orennayar.stereo.pixel_grid import Grid
+from torch_orennayar.stereo.roughness_map import LEVELS, RADIUS, STEP, blend, nearest
+
+
+def error(case: rendered_captures.Rendered, normal: Tensor) -> float:
+    return angular_error(normal, case.normal, case.mask).summary()["mean"]
+
+
+@pytest.mark.parametrize(("left", "right"), [(10, 45), (0, 50)])
+def test_a_map_is_found_where_one_roughness_is_not_enough(left: float, right: float) -> None:
+    scene, truth = rendered_captures.patched_capture(left, right)
+    found = photometric_stereo(scene.images, scene.lights, scene.mask)
+    one = photometric_stereo(scene.images, scene.lights, scene.mask, model="vcavity")
+    assert "varied" in min(found.scores, key=found.scores.__getitem__)
+    assert error(scene, found.normal) < 1.0
+    assert error(scene, found.normal) < 0.6 * error(scene, one.normal)
+    for degrees in (left, right):
+        side = (truth - math.radians(degrees)).abs() < 1e-3
+        there = torch.rad2deg(found.roughness[side & scene.mask])
+        assert there.median().item() == pytest.approx(degrees, abs=5)  # noise hides 10 degrees almost whole
+    assert "differs over the object" in " ".join(found.report)
+    assert isinstance(found.roughness_error, float)
+    assert 0 < math.degrees(found.roughness_error) < 10
+    relit = found.shade(scene.lights[:2])
+    missed = (relit - scene.images[:2]).abs()[:, :, scene.mask[0]].mean() / scene.images[:2, :, scene.mask[0]].mean()
+    assert missed < 0.05
+
+
+@pytest.mark.parametrize("degrees", [0, 30])
+def test_one_roughness_stays_one(degrees: float) -> None:
+    scene, _ = rendered_captures.patched_capture(degrees, degrees)
+    found = photometric_stereo(scene.images, scene.lights, scene.mask)
+    assert found.roughness[scene.mask].std() < 1e-6
+    assert found.model == ("vcavity" if degrees else "lambert")
+
+
+def test_bands_leave_no_seam(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene, _ = rendered_captures.patched_capture(10, 45, lights=12)
+    material = Material("vcavity", varied=True)
+    whole = bands.solve_bands(scene.images, scene.lights, scene.mask[0], material, "lit")
+    monkeypatch.setattr(bands, "BAND", 1)
+    monkeypatch.setattr(bands, "band_height", lambda count, inside: 20)
+    banded = bands.solve_bands(scene.images, scene.lights, scene.mask[0], material, "lit")
+    for name, value in whole.items():
+        assert torch.allclose(banded[name], value, atol=1e-4), name
+
+
+@given(place=st.floats(0, len(LEVELS) - 1.0), slope=st.floats(0.1, 10))
+def test_blend_finds_the_lowest_point_of_a_parabola(place: float, slope: float) -> None:
+    mask = torch.ones(5, 6, dtype=torch.bool)
+    costs = slope * (torch.arange(len(LEVELS)).float() - place).square()[:, None].expand(-1, 30)
+    maps = [{"normal": torch.ones(3, 5, 6), "roughness": torch.full((1, 5, 6), level)} for level in LEVELS]
+    found = blend(maps, costs, Grid(mask))
+    assert torch.allclose(found["roughness"], torch.tensor(place * STEP), atol=1e-3)
+    assert torch.allclose(found["normal"].norm(dim=0), torch.ones(5, 6), atol=1e-6)
+
+
+def test_neighbours_share_the_cost() -> None:
+    """A lone pixel with another opinion gives way."""
+    mask = torch.ones(15, 15, dtype=torch.bool)
+    costs = (torch.arange(len(LEVELS)).float() - 2).square()[:, None].repeat(1, 225)
+    costs[:, 112] = (torch.arange(len(LEVELS)).float() - 7).square()
+    maps = [{"normal": torch.ones(3, 15, 15), "roughness": torch.full((1, 15, 15), level)} for level in LEVELS]
+    found = blend(maps, costs, Grid(mask))["roughness"]
+    assert (found - LEVELS[2]).abs().max() < 1.5 * 5 * STEP / (2 * RADIUS + 1) ** 2
+
+
+def test_nearest_pixels() -> None:
+    places = torch.cartesian_prod(torch.arange(40), torch.arange(40))
+    near = nearest(places)
+    assert near.shape == (1600, 25)
+    assert (near == torch.arange(1600)[:, None]).any(1).all()
+    assert (places[near] - places[:, None]).abs().amax() <= 7
+    inner = 20 * 40 + 20
+    assert (places[near[inner]] - places[inner]).abs().amax() <= 3

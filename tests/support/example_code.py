@@ -1,0 +1,41 @@
+"""The examples as modules, and the page of `examples/web` served, for tests and benchmarks."""
+
+from __future__ import annotations
+
+import importlib.util
+import shutil
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import ModuleType
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+WEB = EXAMPLES / "web"
+BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+CHROMIUM = next((path for name in BROWSERS if (path := shutil.which(name))), "")
+CAN_BROWSE = bool(CHROMIUM) and (shutil.which("npm") is not None or (WEB / "node_modules").is_dir())
+
+
+def load(name: str) -> ModuleType:
+    """An example, by its path in the folder without the suffix."""
+    spec = importlib.util.spec_from_file_location(Path(name).name, EXAMPLES / f"{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)  # dataclasses look themselves up there
+    spec.loader.exec_module(module)
+    return module
+
+
+@contextmanager
+def served_page() -> Iterator[str]:
+    """The address of the page while it is served, with what it needs made first."""
+    serve = load("web/serve")
+    serve.prepare()
+    server = serve.server(0)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    try:
+        yield f"http://localhost:{server.server_address[1]}"
+    finally:
+        server.shutdown()

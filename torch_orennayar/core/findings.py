@@ -1,0 +1,66 @@
+"""Findings: sentences about a result that a program can branch on by their code."""
+
+from __future__ import annotations
+
+CODES: dict[str, str] = {
+    # choice of a model
+    "model-chosen": "which model or kind of material was chosen, and why",
+    # photometric stereo
+    "roughness-found": "one roughness for the capture; value in degrees",
+    "roughness-unreliable": "the photographs do not determine the roughness",
+    "roughness-map": "roughness differs over the object; value: the median in degrees",
+    "falloff-found": "exponent of Minnaert's law for the diffuse part",
+    "falloff-steep": "the exponent is as large as that of images with the wrong encoding",
+    "interreflection-removed": "light between parts of the surface was removed; value: the albedo found for it",
+    "interreflection-kept": "light between parts of the surface was looked for and not found",
+    "network-normals": "normals come from the network",
+    "network-few-lights": "fewer lights than the network was trained on; value: their number",
+    "dark-pixels": "number of pixels that fewer than 3 lights reach",
+    "three-lights": "with 3 lights nothing is left to estimate confidence from",
+    "albedo-above-one": "number of pixels whose albedo exceeds 1",
+    "lights-close-together": "condition number of the light directions",
+    # shape from shading
+    "inside-out": "the same surface with dents for bumps explains the picture about as well",
+    "light-near-view": "the light is so near to the view that dents and bumps look alike",
+    "albedo-estimated": "albedo estimated from one picture",
+    "roughness-estimated": "roughness estimated from one picture; value in degrees",
+    "ambient-estimated": "ambient light as a share of the light, estimated from one picture",
+    "albedo-and-roughness-estimated": "one picture does not determine albedo and roughness together",
+    "no-contour": "without an occluding contour a slant of the whole surface shows only as brightness",
+    "shadow-pixels": "number of pixels in shadow, where the surface is continued smoothly",
+}
+"""Every code and what a finding of it says; the table in the documentation is made from this."""
+
+
+class Finding(str):
+    """A sentence about a result, with a stable code and, where there is one, the number that it is about.
+
+    It is a string, so that reports can print, join and serialise it as it is.
+
+    Attributes:
+        code: a key of `CODES`; stable between releases, the wording is not.
+        value: the number in the sentence, in the unit that the code's entry names; None where there is none.
+
+    Example:
+        >>> from torch_orennayar import Finding
+        >>> found = Finding("3 pixels are lit by fewer than 3 lights.", "dark-pixels", 3)
+        >>> found.code, found.value, found.endswith("lights.")
+        ('dark-pixels', 3, True)
+    """
+
+    __slots__ = ("code", "value")
+
+    code: str
+    value: float | None
+
+    def __new__(cls, text: str, code: str, value: float | None = None) -> Finding:
+        """A finding; ``code`` must be listed in `CODES`."""
+        if code not in CODES:
+            raise KeyError(f"{code!r} is not listed in torch_orennayar.core.findings.CODES")
+        made = super().__new__(cls, text)
+        made.code, made.value = code, value
+        return made
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Pickle and copy with code and value."""
+        return Finding, (str(self), self.code, self.value)

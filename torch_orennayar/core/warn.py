@@ -1,0 +1,17 @@
+"""Warnings that point at the user's line, whatever decorators and calls of this package and of torch lie between."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+
+_SKIPPED = ("torch_orennayar", "torch")
+"""Packages whose frames are not the user's."""
+
+
+def warn(message: str) -> None:
+    """Issue a ``UserWarning`` that is attributed to the nearest caller outside this package and torch."""
+    level, frame = 1, sys._getframe(0)
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] in _SKIPPED:
+        level, frame = level + 1, frame.f_back
+    warnings.warn(message, stacklevel=level)

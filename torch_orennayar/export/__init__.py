@@ -1,0 +1,1 @@
+"""ONNX graphs: built or traced, then verified against torch."""

@@ -1,0 +1,1 @@
+"""Cameras, meshes, depth maps, integration of normals, error metrics and simple shapes."""

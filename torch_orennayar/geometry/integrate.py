@@ -1,0 +1,245 @@
+"""Depth from normals: chords between neighbouring pixels, cut where the surface is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from ..core.errors import CaptureError, RangeError, ShapeError
+from ..core.progress import track
+from .camera import Camera
+
+Floats: TypeAlias = npt.NDArray[np.float64]
+Bools: TypeAlias = npt.NDArray[np.bool_]
+Indices: TypeAlias = npt.NDArray[np.int64]
+
+MIN_FACING = 0.02
+"""Cosine to the view below which a slope is cut."""
+SHARPNESS = (0.02, 8.0)
+"""How strictly a pixel takes the flatter of its two sides, per squared slope: from nearly not to nearly always.
+
+The last value does best on renders of five meshes (`scripts/benchmarks/evaluate_integration.py`); going there slowly
+matters, as a depth edge shows only once the surfaces beside it have come apart.
+"""
+STEPS, LAST_STEPS = 15, 3
+"""Solutions while the sharpness grows, of which the last are at its end."""
+TOLERANCE = 1e-4
+LARGE = 500_000
+"""Pixels above which half the size is solved first, and the whole starts from there."""
+LEAST_TRUST = 1e-9
+"""A cut edge keeps this weight: it decides how far apart two surfaces lie when nothing else does."""
+
+
+@torch.no_grad()
+def integrate_normals(normal: Tensor, mask: Tensor | None = None, *, camera: Camera | None = None) -> Tensor:
+    """Integrate normals to depth; depth edges are found and left open.
+
+    Between neighbours the surface follows the chord of a circle: it is perpendicular to the sum of both normals, in
+    perspective views too. Each pixel trusts the flatter of its two sides, in rows and in columns; edges that not both
+    pixels trust weigh little. Trust and depth take turns, from mild to strict. Not differentiable.
+
+    Args:
+        normal: (3, H, W) unit normals in the camera frame.
+        mask: (1, H, W) bool; default: where the normal is not zero.
+        camera: None for orthographic views in pixels; a `Camera` otherwise.
+
+    Returns:
+        (1, H, W), 0 outside the mask. Without a camera: height toward the viewer in pixels, mean 0 over
+        every connected region. With a perspective camera: positive distance along the optical axis,
+        geometric mean 1 over every connected region. With an orthographic one: distance along the axis in
+        its units, mean 0 over every connected region. How far a surface lies behind another that hides its
+        foot is a guess.
+
+    Raises:
+        ShapeError: shapes other than these.
+        RangeError: NaN inside the mask.
+        CaptureError: an empty mask.
+
+    Source:
+        Trust in the flatter side: Cao, Santo, Shi, Okura & Matsushita 2022, "Bilateral normal integration". Chords,
+        edges that both pixels must trust, and the slow start are this package's.
+
+    Example:
+        >>> import torch, torch_orennayar as ton
+        >>> tilted = torch.tensor([-0.6, 0.0, 0.8]).reshape(3, 1, 1).expand(3, 1, 3)
+        >>> [round(v, 2) + 0 for v in ton.integrate_normals(tilted).flatten().tolist()]
+        [-0.75, 0.0, 0.75]
+    """
+    inside = _check(normal, mask)
+    size = (inside.shape[0], inside.shape[1])
+    n = normal.detach().cpu().double()
+    perspective = camera is not None and camera.is_perspective
+    right, down = (1.0, 1.0) if camera is None else (2 / (size[0] * camera.focal[0].double())).tolist()
+    rays = camera.rays(size)[0].double().cpu().numpy() if camera is not None and perspective else None
+    field = _Field(n.numpy(), rays, inside.cpu().numpy(), (right, down))
+    depth = torch.from_numpy(_centre(_integrate(field), field.inside)).to(normal)[None]
+    if camera is not None:
+        depth = (-depth).exp() if perspective else -depth
+    return torch.where(inside[None], depth, 0)
+
+
+@dataclass(frozen=True)
+class _Field:
+    """Normals on a grid of pixels.
+
+    Attributes:
+        normal: (3, H, W) camera frame.
+        rays: (3, H, W) points of the lines of sight at depth 1, z = -1; None for parallel ones.
+        inside: (H, W) bool.
+        step: from pixel to pixel, to the right and down: world units, or at depth 1.
+    """
+
+    normal: Floats
+    rays: Floats | None
+    inside: Bools
+    step: tuple[float, float]
+
+    def halved(self) -> _Field:
+        """Every four pixels as one."""
+        inside = _pool(self.inside[None].astype(float))[0]
+        share = np.maximum(inside, 1e-12)
+        normal = _pool(self.normal * self.inside) / share
+        normal /= np.maximum(np.linalg.norm(normal, axis=0), 1e-12)
+        rays = None if self.rays is None else _pool(self.rays) / _pool(np.ones_like(self.rays))
+        return _Field(normal, rays, inside > 0, (2 * self.step[0], 2 * self.step[1]))
+
+
+def _pool(values: Floats) -> Floats:
+    """Sums of 2 x 2 pixels, (C, H, W); odd ends are filled with 0."""
+    height, width = values.shape[1:]
+    padded = np.pad(values, ((0, 0), (0, height % 2), (0, width % 2)))
+    return padded[:, ::2, ::2] + padded[:, 1::2, ::2] + padded[:, ::2, 1::2] + padded[:, 1::2, 1::2]
+
+
+@dataclass(frozen=True)
+class _Pairs:
+    """Neighbours in rows or in columns.
+
+    Attributes:
+        first, second: (E,) indices of pixels.
+        rise: (E,) of the height from the first to the second if the surface has no edge there; of -log(depth) in
+            perspective.
+        scale: (2, E) factors by which a rise becomes a slope per pixel, seen by either pixel: small where it is steep.
+    """
+
+    first: Indices
+    second: Indices
+    rise: Floats
+    scale: Floats
+
+    @staticmethod
+    def of(field: _Field, axis: int) -> _Pairs:
+        """To the right (axis 0) or down (axis 1)."""
+        here, there = (np.s_[:, :-1], np.s_[:, 1:]) if axis == 0 else (np.s_[:-1, :], np.s_[1:, :])
+        inside, step = field.inside, field.step[axis]
+        both = inside[here] & inside[there]
+        index = np.full(inside.shape, -1)
+        index[inside] = np.arange(int(inside.sum()))
+        first, second = index[here][both], index[there][both]
+        normal = field.normal[:, inside]
+        one, other = normal[:, first], normal[:, second]
+        chord = one + other  # is perpendicular to the chord
+        if field.rays is None:
+            across = chord[0] if axis == 0 else -chord[1]
+            rise = -across / np.maximum(chord[2], 2 * MIN_FACING) * step
+            facing = np.stack((one[2], other[2]))
+        else:
+            rays = field.rays[:, inside]
+            near, far = rays[:, first], rays[:, second]
+            facing = -np.stack(((one * near).sum(0), (other * far).sum(0)))
+            before, behind = (np.maximum(-(chord * r).sum(0), 2 * MIN_FACING) for r in (near, far))
+            rise = np.log(behind / before)
+        scale = np.maximum(facing, MIN_FACING) / step
+        return _Pairs(first, second, rise, scale)
+
+    def trust(self, height: Floats, sharpness: float) -> Floats:
+        """How much both pixels believe that the surface goes on between them, (E,) in (0, 1/2]."""
+        rise = height[self.second] - height[self.first]
+        forward, backward = np.zeros_like(height), np.zeros_like(height)
+        forward[self.first] = (self.scale[0] * rise) ** 2
+        backward[self.second] = (self.scale[1] * rise) ** 2
+        steeper = np.clip(sharpness * (forward - backward), -50, 50)
+        ahead = 1 / (1 + np.exp(steeper))
+        return np.maximum(np.minimum(ahead[self.first], 1 - ahead[self.second]), LEAST_TRUST)
+
+
+def _integrate(field: _Field) -> Floats:
+    """Heights of the pixels inside, (P,): trust and heights take turns."""
+    count = int(field.inside.sum())
+    pairs = [_Pairs.of(field, axis) for axis in (0, 1)]
+    growth = np.geomspace(*SHARPNESS, STEPS - LAST_STEPS + 1).tolist()
+    # First without any, which is plain least squares.
+    sharpness = [0.0, *growth, *[SHARPNESS[1]] * (LAST_STEPS - 2)][:STEPS]
+    height = np.zeros(count)
+    if count > LARGE:
+        coarse = field.halved()
+        canvas = np.zeros(coarse.inside.shape)
+        canvas[coarse.inside] = _integrate(coarse)
+        height = canvas.repeat(2, 0).repeat(2, 1)[: field.inside.shape[0], : field.inside.shape[1]][field.inside]
+        sharpness = [SHARPNESS[1]] * LAST_STEPS
+    for value in track(sharpness, "integrating", len(sharpness)):
+        height = _solve(pairs, [p.trust(height, value) for p in pairs], height)
+    return height
+
+
+def _solve(pairs: Sequence[_Pairs], trust: Sequence[Floats], start: Floats) -> Floats:
+    """Weighted least squares over all pairs, by conjugate gradients with algebraic multigrid."""
+    import pyamg
+    import scipy.sparse
+    import scipy.sparse.linalg
+
+    count = len(start)
+    first, second = (np.concatenate([getattr(p, name) for p in pairs]) for name in ("first", "second"))
+    weight = np.concatenate([t * (p.scale**2).sum(0) for p, t in zip(pairs, trust, strict=True)])
+    flow = weight * np.concatenate([p.rise for p in pairs])
+    diagonal = np.bincount(first, weight, count) + np.bincount(second, weight, count)
+    # The ridge makes the free constant of every region harmless; the means are set later.
+    ridge = 1e-9 * max(float(diagonal.mean()), 1e-12)
+    own = np.arange(count)
+    system = scipy.sparse.csr_matrix(
+        (
+            np.concatenate((-weight, -weight, diagonal + ridge)),
+            (np.concatenate((first, second, own)), np.concatenate((second, first, own))),
+        ),
+        shape=(count, count),
+    )
+    target = np.bincount(second, flow, count) - np.bincount(first, flow, count)
+    if count <= 500:
+        return np.asarray(scipy.sparse.linalg.spsolve(system.tocsc(), target)).reshape(count)
+    preconditioner = pyamg.ruge_stuben_solver(system, max_coarse=50).aspreconditioner()
+    solution, _ = scipy.sparse.linalg.cg(system, target, x0=start, rtol=TOLERANCE, maxiter=100, M=preconditioner)
+    return np.asarray(solution)
+
+
+def _centre(height: Floats, inside: Bools) -> Floats:
+    """Heights (P,) on the grid (H, W), the mean of every connected region 0."""
+    import scipy.ndimage
+
+    canvas = np.zeros(inside.shape)
+    canvas[inside] = height
+    labels, regions = scipy.ndimage.label(inside)
+    means = np.asarray(scipy.ndimage.mean(canvas, labels, np.arange(1, regions + 1)))
+    canvas[inside] -= means[labels[inside] - 1]
+    return canvas
+
+
+def _check(normal: Tensor, mask: Tensor | None) -> Tensor:
+    if normal.ndim != 3 or normal.shape[0] != 3:
+        raise ShapeError("normal", expected="(3, H, W)", got=str(tuple(normal.shape)), mend="integrate one at a time")
+    if mask is None:
+        mask = (normal != 0).any(0, keepdim=True)
+    if tuple(mask.shape) != (1, *normal.shape[1:]):
+        raise ShapeError(
+            "mask", expected=str((1, *normal.shape[1:])), got=str(tuple(mask.shape)), mend="one mask per normal map"
+        )
+    if not bool(mask.any()):
+        raise CaptureError("mask", expected="some pixels", got="none", mend="mark the object")
+    if not bool(normal[:, mask[0]].isfinite().all()):
+        raise RangeError("normal", expected="finite values inside the mask", got="NaN or infinity", mend="shrink mask")
+    return mask[0]

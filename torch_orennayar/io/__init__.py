@@ -1,0 +1,1 @@
+"""Files in and out: images, captures, figures, reports and results."""

@@ -1,0 +1,274 @@
+"""Image files in and out, through OpenCV; damaged files are refused, bit depth is kept."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from ..core.errors import FileError, RangeError, ShapeError
+from ..core.files import atomic_path
+
+IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".hdr"})
+MAX_PIXELS = 150_000_000
+"""Larger images are refused as decompression bombs."""
+
+
+def read_image(path: str | os.PathLike[str]) -> npt.NDArray[np.generic]:
+    """Read a picture as stored: (H, W) or (H, W, 3) RGB, uint8, uint16 or float32; alpha is dropped.
+
+    Args:
+        path: PNG, JPEG, TIFF, BMP or Radiance HDR.
+
+    Raises:
+        FileError: missing, damaged, truncated, of another kind, or larger than ``MAX_PIXELS``.
+
+    Example:
+        >>> import tempfile, pathlib, torch, torch_orennayar as ton
+        >>> from torch_orennayar.io.images import read_image, write_image
+        >>> path = pathlib.Path(tempfile.mkdtemp()) / "grey.png"
+        >>> write_image(path, torch.full((1, 2, 3), 0.5), bits=16)
+        >>> int(read_image(path)[0, 0])
+        32768
+    """
+    import cv2
+
+    file = Path(path)
+    if not file.is_file():
+        raise FileError(str(file), expected="an image file", got="nothing there", mend="check the name")
+    _check_container(file)
+    array = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
+    if array is None:
+        raise FileError(str(file), expected="a readable image", got="damaged data", mend="copy or export it again")
+    if array.dtype not in (np.uint8, np.uint16, np.float32):
+        raise FileError(
+            str(file), expected="8, 16 or 32-bit float samples", got=str(array.dtype), mend="convert the image"
+        )
+    if array.ndim == 3:
+        array = array[..., 0] if array.shape[2] <= 2 else array[..., 2::-1]
+    return np.ascontiguousarray(array)
+
+
+def _check_container(file: Path) -> None:
+    """Size and integrity, which OpenCV alone does not promise to check."""
+    import PIL.Image
+
+    try:
+        with PIL.Image.open(file) as picture:
+            pixels = picture.width * picture.height
+            if pixels > MAX_PIXELS:
+                raise FileError(
+                    str(file), expected=f"at most {MAX_PIXELS} pixels", got=str(pixels), mend="crop or shrink it"
+                )
+            if picture.format == "PNG":
+                picture.verify()
+            elif picture.format == "JPEG":
+                picture.load()
+    except PIL.UnidentifiedImageError as error:
+        if file.suffix.lower() not in (".tif", ".tiff", ".hdr"):  # float TIFF and HDR are OpenCV's to judge
+            raise FileError(
+                str(file), expected="an image", got="unknown data", mend="copy or export it again"
+            ) from error
+    except FileError:
+        raise
+    except (OSError, SyntaxError, ValueError, PIL.Image.DecompressionBombError) as error:
+        raise FileError(
+            str(file), expected="a whole image", got=str(error).lower(), mend="copy or export it again"
+        ) from error
+
+
+def to_unit(array: npt.NDArray[np.generic]) -> npt.NDArray[np.float32]:
+    """Samples as float32, integers scaled so that full scale is 1."""
+    if array.dtype == np.float32:
+        return array.astype(np.float32, copy=False)
+    return array.astype(np.float32) / np.float32(np.iinfo(array.dtype).max)  # type: ignore[type-var, no-any-return]
+
+
+def write_image(path: str | os.PathLike[str], image: Tensor, *, bits: int = 8) -> None:
+    """Write (C, H, W) values in [0, 1] as an 8- or 16-bit file, as they are: no curve is applied.
+
+    Args:
+        path: the file; its suffix names the format, and the folder is made.
+        image: (1|3, H, W) in [0, 1]; values outside are cut.
+        bits: 8 or 16.
+
+    Raises:
+        ShapeError: not (1|3, H, W).
+        FileError: the format cannot hold it, or the place cannot be written.
+    """
+    import cv2
+
+    if image.ndim != 3 or image.shape[0] not in (1, 3):
+        raise ShapeError("image", expected="(1, H, W) or (3, H, W)", got=str(tuple(image.shape)), mend="reshape it")
+    file = Path(path)
+    if bits not in (8, 16) or (bits == 16 and file.suffix.lower() not in (".png", ".tif", ".tiff")):
+        raise FileError(
+            str(file), expected="8 bits, or 16 bits as .png or .tiff", got=f"{bits} bits", mend="change one of them"
+        )
+    kind, top = (np.uint8, 255) if bits == 8 else (np.uint16, 65535)
+    values = image.detach().cpu().double().nan_to_num(0.0).clamp(0, 1) * top
+    array = values.round().permute(1, 2, 0).numpy().astype(kind)[..., ::-1]
+    try:
+        done, data = cv2.imencode(file.suffix, array)
+    except cv2.error:
+        done = False
+    if not done:
+        raise FileError(str(file), expected="a .png or .tiff name", got=file.suffix or "no suffix", mend="rename it")
+    with atomic_path(file) as temporary:
+        temporary.write_bytes(data.tobytes())
+
+
+ANIMATIONS = frozenset({".gif", ".mp4"})
+
+
+def write_animation(path: str | os.PathLike[str], frames: Sequence[Tensor], *, rate: int = 12) -> None:
+    """Write pictures in a row as a GIF that repeats, or as an MP4.
+
+    Args:
+        path: a .gif or .mp4 name; the file appears whole or not at all.
+        frames: (1|3, H, W) floating-point in [0, 1] each, as they are shown: no curve is applied. MP4 needs even H, W.
+        rate: frames a second, 1 to 60.
+
+    Raises:
+        ShapeError: no frames, not floating-point (1|3, H, W), sizes that differ, or odd ones for MP4.
+        RangeError: another rate.
+        FileError: another suffix, or the place cannot be written.
+    """
+    file = Path(path)
+    if file.suffix.lower() not in ANIMATIONS:
+        raise FileError(str(file), expected="a .gif or .mp4 name", got=file.suffix or "no suffix", mend="rename it")
+    shapes = {tuple(f.shape[1:]) for f in frames}
+    fits = len(shapes) == 1 and all(f.ndim == 3 and f.shape[0] in (1, 3) and f.is_floating_point() for f in frames)
+    odd = file.suffix.lower() == ".mp4" and any(n % 2 for n in next(iter(shapes), ()))
+    if not fits or odd:
+        raise ShapeError(
+            "frames",
+            expected="floating-point (1|3, H, W) all of one size" + ", even for .mp4" * odd,
+            got=str([f"{tuple(f.shape)} {f.dtype}" for f in frames[:3]]),
+            mend="pad them" if odd else "divide bytes by 255; crop to one size",
+        )
+    if not 1 <= rate <= 60:
+        raise RangeError("rate", expected="1 to 60 frames a second", got=str(rate), mend="use e.g. 12")
+    pixels = [(f.detach().cpu().expand(3, -1, -1).clamp(0, 1) * 255).round().byte().permute(1, 2, 0) for f in frames]
+    with atomic_path(file) as temporary:
+        if file.suffix.lower() == ".gif":
+            _write_gif(temporary, pixels, rate)
+        else:
+            _write_mp4(temporary, pixels, rate)
+
+
+def _write_gif(path: Path, pixels: Sequence[Tensor], rate: int) -> None:
+    import PIL.Image
+
+    # One palette for all, or colours flicker: of every frame a part of the pixels.
+    step = max(1, round((len(pixels) * pixels[0][..., 0].numel() / 1_000_000) ** 0.5))
+    strip = PIL.Image.fromarray(torch.cat([p[::step, ::step] for p in pixels]).numpy()).quantize(256)
+    pictures = [PIL.Image.fromarray(p.numpy()).quantize(palette=strip) for p in pixels]
+    pictures[0].save(path, save_all=True, append_images=pictures[1:], duration=round(1000 / rate), loop=0)
+
+
+def _write_mp4(path: Path, pixels: Sequence[Tensor], rate: int) -> None:
+    import cv2
+
+    height, width = pixels[0].shape[:2]
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), rate, (width, height))
+    if not writer.isOpened():
+        raise FileError(str(path), expected="an OpenCV that writes MP4", got="one that does not", mend="write a .gif")
+    for picture in pixels:
+        writer.write(picture.numpy()[..., ::-1].copy())
+    writer.release()
+
+
+def srgb_to_linear(image: Tensor) -> Tensor:
+    """Undo the sRGB curve: encoded values in [0, 1] to linear light, any (..., C, H, W); differentiable."""
+    from kornia.color import rgb_to_linear_rgb
+
+    linear: Tensor = rgb_to_linear_rgb(image.expand(*image.shape[:-3], 3, -1, -1))
+    return linear[..., : image.shape[-3], :, :]
+
+
+def linear_to_srgb(image: Tensor, *, tone_map: str = "clamp") -> Tensor:
+    """Linear light to sRGB for display; never a step of a computation.
+
+    Args:
+        image: linear light, (..., 1|3, H, W).
+        tone_map: ``"clamp"`` cuts at 1; ``"reinhard"`` maps x to x / (1 + x) (Reinhard et al. 2002).
+
+    Returns:
+        Encoded values in [0, 1], of the same shape; differentiable.
+
+    Raises:
+        RangeError: an unknown tone map.
+
+    Example:
+        >>> import torch, torch_orennayar as ton
+        >>> round(ton.linear_to_srgb(torch.full((1, 1, 1), 0.214)).item(), 2)
+        0.5
+    """
+    from kornia.color import linear_rgb_to_rgb
+
+    if tone_map not in ("clamp", "reinhard"):
+        raise RangeError("tone_map", expected="'clamp' or 'reinhard'", got=repr(tone_map), mend="choose one")
+    light = image.clamp_min(0)
+    light = (light / (1 + light)) if tone_map == "reinhard" else light.clamp(max=1)
+    encoded: Tensor = linear_rgb_to_rgb(light.expand(*light.shape[:-3], 3, -1, -1))
+    return encoded[..., : image.shape[-3], :, :]
+
+
+def encode_normals(normal: Tensor, mask: Tensor | None = None, *, green: str = "up") -> Tensor:
+    """Normals as colours in [0, 1], ``(n + 1) / 2``; background black.
+
+    Args:
+        normal: (..., 3, H, W) unit normals in the camera frame (y up).
+        mask: (..., 1, H, W) bool; default: where the normal is not zero.
+        green: ``"up"`` (OpenGL: green grows upwards) or ``"down"`` (DirectX).
+
+    Returns:
+        (..., 3, H, W) in [0, 1].
+
+    Raises:
+        RangeError: another ``green``.
+
+    Example:
+        >>> import torch, torch_orennayar as ton
+        >>> ton.encode_normals(torch.tensor([0.0, 1.0, 0.0]).reshape(3, 1, 1)).flatten().tolist()
+        [0.5, 1.0, 0.5]
+    """
+    if mask is None:
+        mask = (normal != 0).any(-3, keepdim=True)
+    return ((normal * _green_sign(normal, green) + 1) / 2) * mask
+
+
+def decode_normals(image: Tensor, *, green: str = "up") -> Tensor:
+    """Unit normals from their colours; black is background and gives a zero normal.
+
+    Args:
+        image: (..., 3, H, W) in [0, 1], as stored (no sRGB curve).
+        green: as in `encode_normals`.
+
+    Returns:
+        (..., 3, H, W), unit or zero.
+
+    Raises:
+        RangeError: another ``green``.
+
+    Example:
+        >>> import torch, torch_orennayar as ton
+        >>> n = torch.nn.functional.normalize(torch.randn(3, 4, 4, generator=torch.manual_seed(0)), dim=0)
+        >>> bool(torch.allclose(ton.decode_normals(ton.encode_normals(n, green="down"), green="down"), n, atol=1e-6))
+        True
+    """
+    background = (image == 0).all(-3, keepdim=True)
+    normal = (2 * image - 1) * _green_sign(image, green)
+    return torch.nn.functional.normalize(normal, dim=-3).masked_fill(background, 0.0)
+
+
+def _green_sign(like: Tensor, green: str) -> Tensor:
+    if green not in ("up", "down"):
+        raise RangeError("green", expected="'up' (OpenGL) or 'down' (DirectX)", got=repr(green), mend="choose one")
+    return like.new_tensor((1.0, 1.0 if green == "up" else -1.0, 1.0)).reshape(3, 1, 1)

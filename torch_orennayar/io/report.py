@@ -1,0 +1,80 @@
+"""One-page HTML reports that open from disk: every picture is inside the page."""
+
+from __future__ import annotations
+
+import base64
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+_PAGE = """<!doctype html>
+<html lang="en">
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<title>{{ title }}</title>
+<style>
+  body { font: 16px/1.5 system-ui, sans-serif; max-width: 62rem; margin: 2rem auto; padding: 0 1rem; color: #222; }
+  h1 { font-size: 1.6rem } h2 { font-size: 1.2rem; margin-top: 2.2rem }
+  .pictures { display: flex; flex-wrap: wrap; gap: .8rem; margin: .8rem 0 } img { max-width: 100%; height: auto }
+  table { border-collapse: collapse; margin: .8rem 0 } td, th { padding: .25rem .8rem; border-bottom: 1px solid #ddd }
+  th { text-align: left } td + td { text-align: right; font-variant-numeric: tabular-nums }
+  .wide { overflow-x: auto } footer { margin: 3rem 0 1rem; color: #777; font-size: .85rem }
+</style>
+<h1>{{ title }}</h1>
+{% for section in sections %}
+<section>
+<h2>{{ section.heading }}</h2>
+{% for line in section.text %}<p>{{ line }}</p>
+{% endfor %}
+{% if section.rows %}<div class="wide"><table>
+<tr>{% for cell in section.columns %}<th>{{ cell }}</th>{% endfor %}</tr>
+{% for row in section.rows %}<tr>{% for cell in row %}<td>{{ cell }}</td>{% endfor %}</tr>
+{% endfor %}</table></div>{% endif %}
+<div class="pictures">{% for picture in section.pictures %}
+<img alt="{{ section.heading }}: {{ picture.stem }}" src="{{ embed(picture) }}">{% endfor %}
+</div>
+</section>
+{% endfor %}
+<footer>{{ footer }}</footer>
+</html>
+"""
+
+
+@dataclass(frozen=True)
+class Section:
+    """A heading with sentences, a table and pictures below it.
+
+    Attributes:
+        heading: plain text.
+        text: one paragraph each.
+        columns: the table's head.
+        rows: the table's cells.
+        pictures: PNG or GIF files, embedded.
+    """
+
+    heading: str
+    text: Sequence[str] = ()
+    columns: Sequence[str] = ()
+    rows: Sequence[Sequence[str]] = field(default=())
+    pictures: Sequence[Path] = ()
+
+
+def write_report(path: str | os.PathLike[str], title: str, sections: Sequence[Section]) -> Path:
+    """Write ``sections`` as one HTML file with everything in it."""
+    import jinja2
+
+    from .._version import __version__
+
+    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
+    page = environment.from_string(_PAGE).render(
+        title=title, sections=sections, embed=_embed, footer=f"torch_orennayar {__version__}"
+    )
+    target = Path(path)
+    target.write_text(page, encoding="utf-8")
+    return target
+
+
+def _embed(picture: Path) -> str:
+    kind = picture.suffix.lstrip(".")
+    return f"data:image/{kind};base64,{base64.b64encode(picture.read_bytes()).decode()}"

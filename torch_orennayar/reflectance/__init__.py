@@ -1,0 +1,1 @@
+"""Diffuse and specular reflectance models, the theory that judges them, and the choice among them."""

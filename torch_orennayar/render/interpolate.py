@@ -1,0 +1,246 @@
+"""Normals, depth and barycentric weights of the faces that pixels see: a table per face, then sums per pixel.
+
+On a face, weights over depth are linear in the image (Olano & Greer 1997), so a face needs a few numbers and a pixel a
+few products. Coverage rounds corners to a grid, this does not: a pixel that the rounding gave to a face sees the face's
+nearest point.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from ..geometry.mesh import unit_or_zero
+from .spans import exporting
+
+TILE = 1 << 15
+"""Pixels at once."""
+CHUNK = 1 << 14
+"""Faces at once."""
+CANCELLED = 1e-6
+"""Length below which blended unit normals point nowhere; the face's own normal then stands in."""
+STEEPEST = 1e6
+"""Change of a weight per pixel above which a face is seen from its edge: its centre then stands in."""
+
+
+class Surface(NamedTuple):
+    """Vertices of B views in float64: camera frame (B, V, 3), pixels (B, V, 3) homogeneous, unit normals or None.
+
+    ``as_given`` normals are not turned toward the viewer.
+    """
+
+    corners: Tensor
+    image: Tensor
+    normals: Tensor | None
+    as_given: bool
+
+
+class Maps(NamedTuple):
+    """Per pixel of all views, planes first: normal (3, B, H, W), depth (B, H, W), barycentric (3, B, H, W)."""
+
+    normal: Tensor
+    depth: Tensor
+    barycentric: Tensor
+
+
+def interpolate(
+    surface: Surface, faces: Tensor, face: Tensor, size: tuple[int, int], *, perspective: bool, dtype: torch.dtype
+) -> Maps:
+    """What every pixel sees of its face; ``face`` is (B, H * W), F where nothing is seen.
+
+    Differentiable in ``surface``.
+    """
+    views, count = face.shape[0], faces.shape[0]
+    seen, index = _seen(face, count)
+    smooth = surface.normals is not None
+    view = seen // max(count, 1)
+    corner = (faces.index_select(0, seen - view * count) + (view * surface.image.shape[1])[:, None]).T
+    planes = surface._replace(
+        corners=_planes(surface.corners),
+        image=_planes(surface.image),
+        normals=None if surface.normals is None else _planes(surface.normals),
+    )
+    parts = [corner] if exporting() else corner.split(CHUNK, 1)
+    columns = [_columns(planes, part.reshape(-1), size, perspective, dtype) for part in parts]
+    columns.append(_nothing(smooth, perspective, columns[0]))
+    table = torch.cat([_turn(c.T).T for c in columns])
+    if exporting():
+        hit = index < table.shape[0] - 1
+        return Maps(
+            *_values(table.index_select(0, index), hit, _grid(slice(0, size[0]), size, table), smooth, perspective)
+        )
+    shape = (views, *size)
+    normal, depth, barycentric = _Tiles.apply(table, index, size, smooth, perspective)  # type: ignore[no-untyped-call]
+    return Maps(normal.view(3, *shape), depth.view(shape), barycentric.view(3, *shape))
+
+
+def _seen(face: Tensor, count: int) -> tuple[Tensor, Tensor]:
+    """The faces that are seen at all, as view * F + face, and for every pixel its place among them, or their number."""
+    if exporting():
+        return torch.arange(count), face.flatten()
+    views = face.shape[0]
+    own = face + torch.arange(views, device=face.device)[:, None] * (count + 1)
+    flag = torch.zeros(views, count + 1, dtype=torch.int32, device=face.device)
+    flag.view(-1).index_fill_(0, own.flatten(), 1)
+    flag[:, -1] = 0
+    seen = flag[:, :-1].flatten().nonzero().flatten()
+    place = flag.flatten().cumsum(0, dtype=torch.int64).sub_(1).view(views, -1)
+    place[:, -1] = seen.shape[0]
+    return seen, place.flatten().index_select(0, own.flatten())
+
+
+def _planes(values: Tensor) -> Tensor:
+    """(B, V, 3) as (3, B V)."""
+    return values.reshape(-1, 3).T.contiguous()
+
+
+def _columns(surface: Surface, corner: Tensor, size: tuple[int, int], perspective: bool, dtype: torch.dtype) -> Tensor:
+    """A column per face, from the vertices of all views as planes and the faces' first, second and third corners.
+
+    Rows: a pixel centre near the face, x and y; change along x, along y, and value there of two weights (over w, and
+    1 / w itself, if perspective); depth, then smooth normals, at the first corner; their differences to the second and
+    to the third; the face's own normal.
+    """
+
+    def gather(planes: Tensor) -> Tensor:
+        return planes.index_select(1, corner).view(3, 3, -1)  # component, corner, face
+
+    image, place = gather(surface.image), gather(surface.corners)
+    near = _pixel_near(image, size)
+    # From that centre and over the largest w the numbers are of a pixel's size, and ``dtype`` is enough for them.
+    x, y, w = image / image[2].detach().abs().amax(0).clamp_min(1e-300)
+    local = torch.stack((x - near[0] * w, y - near[1] * w, w)).to(dtype)
+    edge = torch.stack([_cross(local[:, (k + 1) % 3], local[:, (k + 2) % 3]) for k in range(3)], 1)
+    volume = (edge[:, 0] * local[:, 0]).sum(0)
+    thin = ~(edge[:2].abs().amax((0, 1)) < STEEPEST * volume.abs())
+    inverse = torch.where(thin, 0.0, 1 / torch.where(thin, 1.0, volume))
+    weight = edge[:, 1:] * inverse
+    if perspective:
+        weight = torch.cat((weight, edge.sum(1, keepdim=True) * inverse), 1)
+    middle = weight.new_tensor((1 / 3, 1 / 3, 1.0)[: weight.shape[1]])[:, None]
+    value = torch.where(thin, middle, weight[2])
+    side = 1 - 2 * (volume > 0).to(dtype)  # corners run counter-clockwise from the front, and rows go down
+    flat = unit_or_zero(_cross(place[:, 1] - place[:, 0], place[:, 2] - place[:, 0]), 0).to(dtype) * side
+    values = -place[2:]
+    if surface.normals is not None:
+        normal = gather(surface.normals)
+        values = torch.cat((values, normal if surface.as_given else normal * side))
+    first = values[:, 0]
+    rest = (first, values[:, 1] - first, values[:, 2] - first)
+    return torch.cat((near.to(dtype), weight[0], weight[1], value, *(t.to(dtype) for t in rest), flat))
+
+
+def _pixel_near(image: Tensor, size: tuple[int, int]) -> Tensor:
+    """A pixel centre (2, N) close to every face, from which small numbers reach its pixels."""
+    limit = image.new_tensor((size[1], size[0]))[:, None] - 0.5
+    ahead = image[2] > 0
+    place = image[:2] / torch.where(ahead, image[2], 1.0)
+    inside = torch.where(ahead, place, torch.inf).detach().amin(1).floor() + 0.5
+    return torch.minimum(inside.clamp_min(0.5), limit)
+
+
+def _nothing(smooth: bool, perspective: bool, like: Tensor) -> Tensor:
+    """The column of a pixel that sees nothing: it divides by nothing that is 0."""
+    rows = [0.0] * (10 if perspective else 8) + [1.0] * perspective
+    rows += [1.0, 0.0, 0.0, 1.0] + [0.0] * 8 if smooth else [1.0, 0.0, 0.0]
+    return like.new_tensor([*rows, 0.0, 0.0, 0.0])[:, None]
+
+
+def _cross(a: Tensor, b: Tensor) -> Tensor:
+    """Cross product of planes (3, N)."""
+    return torch.stack((a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]))
+
+
+def _grid(rows: slice, size: tuple[int, int], like: Tensor) -> tuple[Tensor, Tensor]:
+    """Columns (W,) and ``rows`` (R, 1) of pixel centres; rows count through all views."""
+    height, width = size
+    x = torch.arange(width, device=like.device, dtype=like.dtype) + 0.5
+    y = (torch.arange(rows.start, rows.stop, device=like.device) % height).to(like.dtype)
+    return x, (y + 0.5)[:, None]
+
+
+def _values(
+    rows: Tensor, hit: Tensor, grid: tuple[Tensor, Tensor], smooth: bool, perspective: bool
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Normal (3, R, W), depth (R, W) and barycentric weights (3, R, W) from every pixel's row of the table."""
+    x, y = grid
+    planes, width = 3 if perspective else 2, 4 if smooth else 1
+    place, attributes, flat = rows.split((2 + 3 * planes, 3 * width, 3), 1)
+    shape = (-1, y.shape[0], x.shape[0])
+    near, along, down, value = _turn(place).view(shape).split((2, planes, planes, planes))
+    first, second, third = _turn(attributes).view(shape).split(width)
+    seen = hit.view(y.shape[0], x.shape[0]).to(rows.dtype)
+    weight = torch.addcmul(torch.addcmul(value, along, x - near[0]), down, y - near[1])
+    if perspective:
+        weight = weight[:2] / weight[2]
+    weight = weight.clamp_min(0)
+    weight = weight / (weight[0] + weight[1]).clamp_min(1)
+    values = torch.addcmul(torch.addcmul(first, weight[0], second), weight[1], third)
+    barycentric = torch.stack((seen - weight[0] - weight[1], weight[0], weight[1]))
+    depth = values[0] / seen  # infinite where nothing is seen
+    if not smooth:
+        return _turn(flat).view(shape), depth, barycentric
+    length = _square(values[1:])
+    lost = length < CANCELLED**2
+    normal = values[1:] * (length.clamp_min(CANCELLED**2).rsqrt() * seen)
+    if exporting() or bool(lost.any()):
+        normal = torch.where(lost, _turn(flat).view(shape), normal)
+    return normal, depth, barycentric
+
+
+def _turn(rows: Tensor) -> Tensor:
+    """(N, K) as planes (K, N), for small K: a product with 1, which is faster than a copy."""
+    if exporting():
+        return rows.T
+    return torch.mm(torch.eye(rows.shape[1], dtype=rows.dtype, device=rows.device), rows.T)
+
+
+def _square(a: Tensor) -> Tensor:
+    return a[0] * a[0] + a[1] * a[1] + a[2] * a[2]
+
+
+class _Tiles(torch.autograd.Function):
+    """`_values` in tiles of rows that fit in cache; keeps nothing but its inputs."""
+
+    @staticmethod
+    def forward(
+        ctx: Any, table: Tensor, index: Tensor, size: tuple[int, int], smooth: bool, perspective: bool
+    ) -> tuple[Tensor, ...]:
+        ctx.save_for_backward(table, index)
+        ctx.choice = (size, smooth, perspective)
+        rows = index.shape[0] // size[1]
+        normal, depth, barycentric = (table.new_empty(k, rows, size[1]) for k in (3, 1, 3))
+        space = table.new_empty(min(max(TILE, size[1]), index.shape[0]), table.shape[1])
+        for part in _tiles(rows, size[1]):
+            here = index[part.start * size[1] : part.stop * size[1]]
+            found = torch.index_select(table, 0, here, out=space[: len(here)])
+            values = _values(found, here < len(table) - 1, _grid(part, size, table), smooth, perspective)
+            normal[:, part], depth[0, part], barycentric[:, part] = values
+        return normal, depth[0], barycentric
+
+    @staticmethod
+    def backward(ctx: Any, *arriving: Tensor) -> tuple[Tensor | None, ...]:
+        table, index = ctx.saved_tensors
+        size, smooth, perspective = ctx.choice
+        rows = index.shape[0] // size[1]
+        if torch.is_grad_enabled():  # second derivatives: in one piece, by plain operations
+            hit, grid = index < len(table) - 1, _grid(slice(0, rows), size, table)
+            values = _values(table.index_select(0, index), hit, grid, smooth, perspective)
+            (whole,) = torch.autograd.grad(values, table, arriving, create_graph=True)
+            return whole, None, None, None, None
+        gradient = torch.zeros_like(table)
+        for part in _tiles(rows, size[1]):
+            here = index[part.start * size[1] : part.stop * size[1]]
+            found = table.index_select(0, here).requires_grad_()
+            with torch.enable_grad():
+                values = _values(found, here < len(table) - 1, _grid(part, size, table), smooth, perspective)
+            given = [arriving[0][:, part], arriving[1][part], arriving[2][:, part]]
+            gradient.index_add_(0, here, torch.autograd.grad(values, found, given)[0])
+        return gradient, None, None, None, None
+
+
+def _tiles(rows: int, width: int) -> list[slice]:
+    step = max(1, TILE // width)
+    return [slice(r, min(r + step, rows)) for r in range(0, rows, step)]

@@ -1,0 +1,223 @@
+"""Rasterise triangle meshes to normal maps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from ..core.checks import check_floating
+from ..core.errors import RangeError, ShapeError
+from ..geometry.camera import Camera
+from ..geometry.mesh import check_mesh, sum_normals, unit_or_zero
+from .interpolate import Surface, interpolate
+from .raster import Projected, visible_faces
+from .spans import FACE_BITS
+
+MAX_FACES = (1 << FACE_BITS) - 1
+MAX_SIDE = 1 << 14
+"""Longest side of a picture: beyond it depth keys and guard band run out of room."""
+
+
+@dataclass(frozen=True)
+class NormalMap:
+    """What the rasteriser saw, camera frame (x right, y up, z toward the viewer).
+
+    Attributes:
+        normal: (B, 3, H, W) unit, 0 outside the mask; differentiable.
+        mask: (B, 1, H, W) bool.
+        depth: (B, 1, H, W) distance along the viewing axis, infinite outside the mask; differentiable.
+        face: (B, 1, H, W) int64 index of the visible face, -1 outside the mask.
+        barycentric: (B, 3, H, W) perspective-correct weights of its corners, 0 outside; differentiable.
+        camera: the camera that saw it.
+    """
+
+    normal: Tensor
+    mask: Tensor
+    depth: Tensor
+    face: Tensor
+    barycentric: Tensor
+    camera: Camera
+
+    def shade(
+        self,
+        layer: nn.Module,
+        light: Tensor,
+        *,
+        albedo: Tensor | float | None = None,
+        roughness: Tensor | float | None = None,
+        irradiance: Tensor | float | None = None,
+    ) -> Tensor:
+        """Shaded pictures of this view: the layer with the camera's own view directions.
+
+        Args:
+            layer: an `OrenNayar`, or a module that is called alike.
+            light: (B, 3), (B, K, 3) or maps, camera frame, as the layer takes them.
+            albedo: as the layer takes it.
+            roughness: radians, as the layer takes it.
+            irradiance: as the layer takes it.
+
+        Returns:
+            (B, C, H, W), or (B, K, C, H, W) for K lights; differentiable.
+
+        Example:
+            >>> import torch, torch_orennayar as ton
+            >>> vertices = torch.tensor([[-1.0, -1, 0], [3, -1, 0], [-1, 3, 0]])
+            >>> seen = ton.render_normals(vertices, torch.tensor([[0, 1, 2]]), ton.Camera.orthographic(), (4, 4))
+            >>> lights = torch.nn.functional.normalize(torch.rand(1, 12, 3), dim=2)
+            >>> seen.shade(ton.OrenNayar("vcavity"), lights, albedo=0.8, roughness=0.5).shape
+            torch.Size([1, 12, 1, 4, 4])
+        """
+        size = (self.normal.shape[2], self.normal.shape[3])
+        view = self.camera.view_directions(size).to(self.normal) if self.camera.is_perspective else None
+        images: Tensor = layer(self.normal, light, view, albedo=albedo, roughness=roughness, irradiance=irradiance)
+        return images
+
+
+def render_normals(
+    vertices: Tensor,
+    faces: Tensor,
+    camera: Camera,
+    size: tuple[int, int],
+    *,
+    smooth: bool = True,
+    vertex_normals: Tensor | None = None,
+    cull: str | None = None,
+) -> NormalMap:
+    """Rasterise a triangle mesh: normals, mask, depth, face ids and barycentric coordinates.
+
+    Both sides of a face are drawn unless one is left out; the normals of a face seen from behind are turned to the
+    viewer, except given vertex normals, which are taken as they are.
+    A pixel belongs to a face if its centre does, corners rounded to 1/256 pixel; a centre on a shared edge belongs to
+    exactly one of the two faces. Faces that cross the near plane of a perspective camera are cut there. Where faces are
+    equally deep, to about 1e-10 of the depths of the mesh, the lower index is seen; faces that intersect or touch more
+    closely than that are told apart by rounding alone, the same way in every run.
+
+    Gradients reach vertices, vertex normals and camera through normals, depth and barycentrics of the
+    interior; which face a pixel shows, and so the mask, has none: `antialias` adds those of silhouettes. Second
+    derivatives are there; transforms of ``torch.func`` (`vmap`, `jvp`) are not: batches are what replaces `vmap`.
+
+    Args:
+        vertices: (V, 3) or (B, V, 3), world frame.
+        faces: (F, 3) int64, corners counter-clockwise where seen from the front.
+        camera: one camera or B of them.
+        size: (H, W) in pixels, up to 16,384 each.
+        smooth: interpolate vertex normals; else every face is flat.
+        vertex_normals: (V, 3), or (B, V, 3) for every mesh or camera, world frame, used where ``smooth``; default:
+            `vertex_normals` of the mesh, weighted by Max 1999, exact on a sphere.
+        cull: ``"back"`` leaves out faces seen from behind, ``"front"`` those seen from the front. A closed mesh looks
+            the same without its back faces and is drawn faster.
+
+    Returns:
+        A `NormalMap`.
+
+    Raises:
+        ShapeError: shapes other than these, batches that do not fit, or a size out of range.
+        RangeError: a face names a vertex that does not exist, a vertex is not finite, or another ``cull``.
+
+    Source:
+        Olano & Greer 1997 (homogeneous edge functions); Max 1999, "Weights for computing vertex normals
+        from facet normals".
+
+    Example:
+        >>> import torch, torch_orennayar as ton
+        >>> vertices = torch.tensor([[-1.0, -1, 0], [3, -1, 0], [-1, 3, 0]])
+        >>> seen = ton.render_normals(vertices, torch.tensor([[0, 1, 2]]), ton.Camera.orthographic(), (4, 4))
+        >>> seen.normal[0, :, 0, 0].tolist(), bool(seen.mask.all()), seen.depth[0, 0, 0, 0].item()
+        ([0.0, 0.0, 1.0], True, 2.0)
+    """
+    world = _check(vertices, faces, camera, vertex_normals, cull)
+    check_size(size)
+    return rasterise(world, faces, camera, size, smooth=smooth, vertex_normals=vertex_normals, cull=cull)
+
+
+def rasterise(
+    world: Tensor,
+    faces: Tensor,
+    camera: Camera,
+    size: tuple[int, int],
+    *,
+    smooth: bool = True,
+    vertex_normals: Tensor | None = None,
+    cull: str | None = None,
+) -> NormalMap:
+    """`render_normals` of vertices (B, V, 3), nothing checked; what is traced into a graph."""
+    height, width = size
+    batch = max(world.shape[0], len(camera.eye))
+    corners = camera.to_camera_frame(world.double()).expand(batch, -1, -1)
+    image = camera.to_image(corners, size)
+    with torch.no_grad():
+        x, y, w = image.detach().unbind(2)
+        projected = Projected(x, y, w, -corners.detach()[:, :, 2])
+        face = visible_faces(projected, faces, size, camera.near if camera.is_perspective else None, cull)
+    normals = None
+    if smooth:
+        normals = _unit_normals(world, faces, vertex_normals, camera).expand(batch, -1, -1)
+    maps = interpolate(
+        Surface(corners, image, normals, vertex_normals is not None),
+        faces,
+        face,
+        size,
+        perspective=camera.is_perspective,
+        dtype=torch.promote_types(world.dtype, torch.float32),
+    )
+    hit = (face < faces.shape[0]).view(batch, 1, height, width)
+    return NormalMap(
+        normal=maps.normal.view(3, batch, height, width).transpose(0, 1).to(world.dtype),
+        mask=hit,
+        depth=maps.depth.view(batch, 1, height, width).to(world.dtype),
+        face=(face - (face == faces.shape[0]).to(torch.int64) * (faces.shape[0] + 1)).view(batch, 1, height, width),
+        barycentric=maps.barycentric.view(3, batch, height, width).transpose(0, 1).to(world.dtype),
+        camera=camera,
+    )
+
+
+def _unit_normals(world: Tensor, faces: Tensor, given: Tensor | None, camera: Camera) -> Tensor:
+    """Vertex normals (B, V, 3) in the camera frame, float64; zero stays zero."""
+    if given is None:
+        normals = sum_normals(world.double(), faces)
+    else:
+        normals = unit_or_zero(given.double().reshape(-1, *given.shape[-2:]), 2)
+    return normals @ camera.rotation.to(normals).transpose(1, 2)
+
+
+def check_size(size: tuple[int, int]) -> None:
+    """Two whole numbers within what the exact arithmetic holds."""
+    pair = isinstance(size, Sequence) and len(size) == 2 and all(isinstance(n, int) for n in size)
+    if not pair or min(size) < 1 or max(size) > MAX_SIDE:
+        raise ShapeError("size", expected=f"(H, W), each from 1 to {MAX_SIDE}", got=repr(size), mend="give pixels")
+
+
+def _check(vertices: Tensor, faces: Tensor, camera: Camera, vertex_normals: Tensor | None, cull: str | None) -> Tensor:
+    """Shapes and values; vertices as (B, V, 3)."""
+    check_floating(vertices=vertices, vertex_normals=vertices if vertex_normals is None else vertex_normals)
+    check_mesh(vertices, faces)
+    world = vertices if vertices.ndim == 3 else vertices[None]
+    if len(world) != len(camera.eye) and 1 not in (len(world), len(camera.eye)):
+        raise ShapeError(
+            "vertices, camera",
+            expected="equal batch sizes, or 1",
+            got=f"{len(world)} and {len(camera.eye)}",
+            mend="repeat one of them",
+        )
+    views = max(len(world), len(camera.eye))
+    fits = (world.shape, world.shape[1:], (views, *world.shape[1:]))
+    if vertex_normals is not None and tuple(vertex_normals.shape) not in fits:
+        raise ShapeError(
+            "vertex_normals",
+            expected=f"one per vertex, {tuple(world.shape[1:])}, or for each of the {views} views",
+            got=str(tuple(vertex_normals.shape)),
+            mend="leave it out to have them computed",
+        )
+    if not len(world):
+        raise ShapeError("vertices", expected="at least one mesh", got="an empty batch", mend="skip the call")
+    for name, value in (("vertices", world), ("vertex_normals", vertex_normals)):
+        if value is not None and not bool(value.detach().isfinite().all()):
+            raise RangeError(name, expected="finite numbers", got="NaN or infinity", mend="clean the mesh")
+    if len(faces) > MAX_FACES:
+        raise RangeError("faces", expected=f"at most {MAX_FACES}", got=str(len(faces)), mend="render the mesh in parts")
+    if cull not in (None, "back", "front"):
+        raise RangeError("cull", expected="None, 'back' or 'front'", got=repr(cull), mend="choose one")
+    return world

@@ -1,0 +1,101 @@
+"""Cast shadows of a mesh under distant lights, from depth pictures taken by the lights."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from ..core.checks import check_floating, check_unit
+from ..core.errors import ShapeError
+from ..core.progress import track
+from ..geometry.camera import Camera
+from ..geometry.mesh import check_mesh
+from .normal_map import NormalMap, check_size, render_normals
+
+
+@torch.no_grad()
+def cast_shadows(vertices: Tensor, faces: Tensor, seen: NormalMap, lights: Tensor, *, resolution: int = 1024) -> Tensor:
+    """How much of each light reaches each pixel past other parts of the mesh.
+
+    Every light takes a depth picture of the mesh; a point is in shadow where that picture shows something clearly
+    nearer to the light. Edges are as soft as a texel of that picture. Surfaces that face away from a light are
+    shading's affair and count as reached. Not differentiable.
+
+    Args:
+        vertices: (V, 3), world frame.
+        faces: (F, 3) int64.
+        seen: one view of that mesh by `render_normals`.
+        lights: (K, 3) unit directions to distant lights, camera frame.
+        resolution: side of the depth pictures in pixels.
+
+    Returns:
+        (K, 1, H, W) in [0, 1]: 1 reached, 0 in shadow; 1 outside the mask.
+
+    Raises:
+        ShapeError: more than one view, or shapes other than these.
+        RangeError: lights that are no unit vectors.
+
+    Source:
+        Williams 1978 (shadow maps); Reeves, Salesin & Cook 1987 (averaging the comparisons).
+
+    Example:
+        >>> import torch, torch_orennayar as ton
+        >>> floor = torch.tensor([[-2.0, -2, 0], [2, -2, 0], [2, 2, 0], [-2, 2, 0]])
+        >>> lid = floor * 0.2 + torch.tensor([0.0, 0.0, 1.0])
+        >>> faces = torch.tensor([[0, 1, 2], [0, 2, 3]])
+        >>> mesh, both = torch.cat((floor, lid)), torch.cat((faces, faces + 4))
+        >>> seen = ton.render_normals(mesh, both, ton.Camera.orthographic(eye=(0.0, 0.0, 3.0)), (32, 32))
+        >>> reached = ton.cast_shadows(mesh, both, seen, torch.tensor([[0.6, 0.0, 0.8]]))
+        >>> reached[0, 0, 16, 4].item(), reached[0, 0, 16, 28].item()  # the lid's shadow falls to the left
+        (0.0, 1.0)
+    """
+    check_floating(vertices=vertices, lights=lights)
+    check_mesh(vertices, faces)
+    check_size((resolution, resolution))
+    if len(seen.normal) != 1 or vertices.ndim != 2:
+        raise ShapeError("seen", expected="one view", got=f"{len(seen.normal)} views", mend="take one at a time")
+    if lights.ndim != 2 or lights.shape[-1] != 3:
+        raise ShapeError("lights", expected="(K, 3)", got=str(tuple(lights.shape)), mend="one row per light")
+    check_unit("lights", lights, 1, gaps=False)
+    mask = seen.mask[0, 0]
+    body = seen.camera.to_camera_frame(vertices)[0]
+    low, high = body.amin(0), body.amax(0)
+    middle, radius = (low + high) / 2, float((high - low).norm()) / 2 * 1.01 + 1e-12
+    points = seen.camera.points(torch.where(seen.mask, seen.depth, 0.0))[0][:, mask].T.to(body)
+    normal = seen.normal[0][:, mask].T.to(body)
+    reached = torch.ones(len(lights), 1, *mask.shape, dtype=seen.normal.dtype, device=mask.device)
+    for index, light in enumerate(track(lights.to(body), "shadows", len(lights))):
+        reached[index, 0, mask] = _reached(body, faces, points, normal, light, middle, radius, resolution).to(reached)
+    return reached
+
+
+def _reached(
+    body: Tensor,
+    faces: Tensor,
+    points: Tensor,
+    normal: Tensor,
+    light: Tensor,
+    middle: Tensor,
+    radius: float,
+    resolution: int,
+) -> Tensor:
+    """What reaches P points from one light, (P,)."""
+    up = (0.0, 1.0, 0.0) if abs(float(light[1])) < 0.9 else (1.0, 0.0, 0.0)
+    camera = Camera.orthographic(radius, eye=middle + 2 * radius * light, target=middle, up=up)
+    depth = render_normals(body, faces, camera, (resolution, resolution)).depth
+    depth = torch.where(depth.isfinite(), depth, 1e9)
+    there = camera.to_camera_frame(points)
+    # A texel sees a slope at one depth: its own points may lie deeper by its width times the slope.
+    cosine = (normal @ light).clamp(0.05, 1)
+    slack = 2 * radius / resolution * (1 + 1.5 * (1 - cosine * cosine).sqrt() / cosine)
+    nearer = -there[0, :, 2] - slack
+    corners = camera.to_image(there, (resolution, resolution))[0, :, :2] - 0.5
+    base = corners.floor()
+    share = corners - base
+    lit = torch.zeros_like(nearer)
+    for x in (0, 1):
+        for y in (0, 1):
+            column, row = (base + base.new_tensor((x, y))).long().clamp(0, resolution - 1).unbind(1)
+            open_sky = (depth[0, 0, row, column] > nearer).to(lit)
+            lit += open_sky * (share[:, 0] if x else 1 - share[:, 0]) * (share[:, 1] if y else 1 - share[:, 1])
+    return torch.where(normal @ light > 0, lit, 1.0)

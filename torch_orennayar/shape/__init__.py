@@ -1,0 +1,1 @@
+"""Shape from shading: depth and normals from one photograph."""

@@ -1,0 +1,1 @@
+"""Photometric stereo: normals, albedo and roughness from several photographs under known lights."""

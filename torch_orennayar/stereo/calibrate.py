@@ -1,0 +1,262 @@
+"""Find lights: directions from a chrome ball, intensities from a grey ball or from the capture itself."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from ..core.checks import check_floating, check_unit
+from ..core.errors import CaptureError, RangeError, ShapeError
+from ..geometry.primitives import Ball
+from . import robust_fit
+from .material import LightDirections, Material
+
+HIGHLIGHT = 0.5
+"""A highlight is what is brighter than this share of the brightest pixel on the ball."""
+RIVAL = 0.5
+"""A second spot of this share of the first one's area makes it unclear which is the light."""
+ROUNDS = 40
+OVERSHOOT = 1.8
+"""Taking turns creeps; steps this much longer arrive sooner."""
+SAMPLE_PIXELS = 4000
+
+
+def find_ball(mask: Tensor) -> Ball:
+    """The circle around a mask of a ball.
+
+    Args:
+        mask: (1, H, W) bool, the ball alone.
+
+    Returns:
+        The `Ball`.
+
+    Raises:
+        ShapeError: another shape or type.
+        CaptureError: an empty mask, or one that is not round (a ball cut by the picture's edge, or two objects).
+
+    Example:
+        >>> import torch
+        >>> from torch_orennayar.geometry.primitives import Ball
+        >>> from torch_orennayar.stereo.calibrate import find_ball
+        >>> mask = Ball(20.0, 15.0, 10.0).normals((32, 40))[1]
+        >>> ball = find_ball(mask)
+        >>> abs(ball.x - 20) < 0.6, abs(ball.radius - 10) < 0.6
+        (True, True)
+    """
+    import cv2
+    import numpy as np
+
+    if mask.ndim != 3 or mask.shape[0] != 1 or mask.dtype != torch.bool:
+        raise ShapeError("mask", expected="(1, H, W) bool", got=f"{tuple(mask.shape)} {mask.dtype}", mend="mask > 0.5")
+    outlines, _ = cv2.findContours(mask[0].cpu().numpy().astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    if not outlines:
+        raise CaptureError("mask", expected="a ball", got="an empty mask", mend="paint the ball white")
+    (x, y), radius = cv2.minEnclosingCircle(max(outlines, key=len))
+    covered = int(mask.sum()) / (math.pi * radius * radius)
+    if not 0.9 < covered < 1.1:
+        raise CaptureError(
+            "mask",
+            expected="one whole round ball",
+            got=f"a shape that fills {covered:.0%} of its circle",
+            mend="paint the ball alone, or give the circle as Ball(x, y, radius)",
+        )
+    return Ball(float(x), float(y), float(radius))
+
+
+def find_circle(images: Tensor) -> Ball:
+    """The most prominent circle in photographs of a ball, by Hough's transform.
+
+    Args:
+        images: (K, C, H, W) linear light; the ball is told from its ground in their brightest values.
+
+    Returns:
+        The `Ball`.
+
+    Raises:
+        CaptureError: no circle stands out.
+    """
+    import cv2
+    import numpy as np
+
+    bright = images.amax(0).mean(0)
+    top = bright.flatten().double().quantile(0.99).item() if bright.numel() < 10_000_000 else bright.max().item()
+    picture = ((bright / max(top, 1e-12)).clamp(0, 1) ** 0.3 * 255).cpu().numpy().astype(np.uint8)
+    least = min(picture.shape) // 12
+    found = cv2.HoughCircles(
+        cv2.medianBlur(picture, 5),
+        cv2.HOUGH_GRADIENT_ALT,
+        1.5,
+        least,
+        param1=150,
+        param2=0.6,
+        minRadius=least,
+        maxRadius=max(picture.shape),
+    )
+    if found is None:
+        raise CaptureError(
+            "images",
+            expected="a ball whose outline shows",
+            got="no circle",
+            mend="give a mask.png of the ball, or its circle (--circle X Y RADIUS)",
+        )
+    x, y, radius = (float(v) for v in found.reshape(-1, found.shape[-1])[0][:3])
+    return Ball(x, y, radius)
+
+
+def light_directions(images: Tensor, ball: Ball) -> Tensor:
+    """Directions to distant lights from photographs of a mirror ball, orthographic view.
+
+    The centre of the highlight tells the normal there; the light is the view, reflected about it (not the
+    normal itself, which lies half way).
+
+    Args:
+        images: (K, C, H, W) linear light, one per light.
+        ball: its outline.
+
+    Returns:
+        (K, 3) unit directions, camera frame.
+
+    Raises:
+        ShapeError: another shape.
+        CaptureError: no highlight, two of them, or one at the ball's very edge; names the image.
+
+    Example:
+        >>> import torch
+        >>> from torch_orennayar.geometry.primitives import Ball
+        >>> from torch_orennayar.stereo.calibrate import light_directions
+        >>> picture = torch.zeros(1, 1, 41, 41)
+        >>> picture[0, 0, 20, 30] = 1.0  # half a radius to the right: the normal there leans 30 degrees
+        >>> [round(v, 3) for v in light_directions(picture, Ball(20.0, 20.0, 20.0))[0].tolist()]
+        [0.866, 0.0, 0.5]
+    """
+    import cv2
+    import numpy as np
+
+    _check_images(images)
+    _, inside = ball.normals((images.shape[2], images.shape[3]))
+    lights = []
+    for index, image in enumerate(images.mean(1).cpu()):
+        grey = torch.where(inside[0], image, 0.0)
+        bright = grey >= HIGHLIGHT * grey.max()
+        where = f"image {index + 1}"
+        if not bool(grey.max() > 0) or bool(bright.sum() > 0.1 * inside.sum()):
+            raise CaptureError(where, expected="a small highlight", got="none", mend="photograph a mirror ball")
+        count, labels, areas, _ = cv2.connectedComponentsWithStats(bright.numpy().astype(np.uint8))
+        order = 1 + areas[1:, cv2.CC_STAT_AREA].argsort()[::-1]
+        if count > 2 and areas[order[1], cv2.CC_STAT_AREA] > RIVAL * areas[order[0], cv2.CC_STAT_AREA]:
+            raise CaptureError(
+                where, expected="one highlight", got="two alike", mend="cover other lights, or paint the second black"
+            )
+        weight = grey * torch.from_numpy(labels == order[0])
+        row, column = torch.meshgrid(torch.arange(grey.shape[0]), torch.arange(grey.shape[1]), indexing="ij")
+        x = float((weight * column).sum() / weight.sum() - ball.x) / ball.radius
+        y = float(ball.y - (weight * row).sum() / weight.sum()) / ball.radius
+        if x * x + y * y > 0.98**2:
+            raise CaptureError(
+                where, expected="a highlight on the ball", got="one at its edge", mend="check the ball's circle"
+            )
+        z = math.sqrt(1 - x * x - y * y)
+        lights.append((2 * z * x, 2 * z * y, 2 * z * z - 1))
+    return F.normalize(torch.tensor(lights, dtype=images.dtype), dim=1)
+
+
+def ball_intensities(images: Tensor, lights: Tensor, ball: Ball) -> Tensor:
+    """Intensities of the lights from photographs of a matt grey ball, each channel's mean 1.
+
+    Args:
+        images: (K, C, H, W) linear light.
+        lights: (K, 3) unit directions.
+        ball: its outline.
+
+    Returns:
+        (K, C): divide the images by them.
+
+    Raises:
+        ShapeError: shapes do not fit together.
+        CaptureError: a light that does not show on the ball.
+    """
+    _check_images(images)
+    _check_lights(images, lights)
+    normal, inside = ball.normals((images.shape[2], images.shape[3]))
+    cosine = torch.einsum("kc,chw->khw", lights.to(images), normal.to(images)).clamp_min(0)
+    lit = (inside & (cosine > 0.2) & (normal[2:] > 0.3))[:, None].to(images)  # away from rim and terminator
+    amount = (images * cosine[:, None] * lit).sum((2, 3)) / (cosine.square()[:, None] * lit).sum((2, 3)).clamp_min(1e-9)
+    if not bool((amount > 0).all()):
+        dark = int((amount <= 0).any(1).nonzero()[0])
+        raise CaptureError(f"image {dark + 1}", expected="light on the ball", got="none", mend="check its light")
+    return amount / amount.mean(0)
+
+
+@torch.no_grad()
+def own_intensities(images: Tensor, lights: Tensor, mask: Tensor | None = None, *, seed: int = 0) -> Tensor:
+    """Intensities of the lights from the capture itself (semi-calibrated), the mean over lights 1.
+
+    Robust Lambertian fits and the intensities that explain them best take turns. Directions must be known; surfaces
+    must face many ways, or intensity passes for a slant. One number per light: colours of lights need a grey ball.
+
+    Args:
+        images: (K, C, H, W) linear light.
+        lights: (K, 3) unit directions.
+        mask: (1, H, W) bool; default all pixels.
+        seed: picks the pixels.
+
+    Returns:
+        (K, 1): divide the images by them.
+
+    Raises:
+        ShapeError: shapes do not fit together.
+        CaptureError: fewer than 5 lights: 3 numbers a pixel and one a light leave nothing to tell them apart.
+
+    Source: the setting of Cho, Matsushita, Tai & Kweon 2016, "Semi-calibrated photometric stereo".
+
+    Example:
+        >>> import torch, torch_orennayar as ton
+        >>> from torch_orennayar.stereo.calibrate import own_intensities
+        >>> from torch_orennayar.demo import spiral_lights
+        >>> toward = torch.rand(1, 3, 16, 16) + torch.tensor([-0.5, -0.5, 1]).reshape(3, 1, 1)
+        >>> normal = torch.nn.functional.normalize(toward)
+        >>> lights, strength = spiral_lights(12), torch.linspace(0.8, 1.2, 12)[:, None]
+        >>> images = ton.OrenNayar("lambert")(normal, lights[None])[0] * strength[:, :, None, None]
+        >>> bool((own_intensities(images, lights) - strength).abs().max() < 0.01)
+        True
+    """
+    _check_images(images)
+    _check_lights(images, lights)
+    if len(images) < 5:
+        raise CaptureError("images", expected="at least 5", got=str(len(images)), mend="calibrate with a grey ball")
+    inside = torch.ones(images.shape[2:], dtype=torch.bool) if mask is None else mask[0]
+    grey = images.mean(1)[:, inside].T.float()
+    grey = grey[(grey > 0).sum(1) >= 3]
+    generator = torch.Generator().manual_seed(seed)
+    grey = grey[torch.randperm(len(grey), generator=generator)[:SAMPLE_PIXELS].to(grey.device)]
+    rays = LightDirections.of(lights.to(grey))
+    intensity = torch.ones(1, len(images), device=grey.device)
+    fitted: robust_fit.PixelFit | str = "middle"
+    for round_number in range(ROUNDS):
+        seen = grey / intensity
+        fitted = robust_fit.fit(seen, rays, Material(), start=fitted, steps=3 if round_number else 8)
+        predicted = robust_fit.predict(fitted, rays, Material())
+        weight = robust_fit.weights(fitted, seen, predicted, "lit") / robust_fit.mean_of(seen).square()
+        gain = (weight * seen * predicted).sum(0) / (weight * predicted.square()).sum(0).clamp_min(1e-12)
+        intensity = intensity * gain**OVERSHOOT
+        intensity = intensity / intensity.mean()
+    return intensity.T.to(images)
+
+
+def _check_images(images: Tensor) -> None:
+    check_floating(images=images)
+    if images.ndim != 4 or 0 in images.shape:
+        raise ShapeError("images", expected="(K, C, H, W)", got=str(tuple(images.shape)), mend="stack the images")
+    if not bool(images.isfinite().all()):
+        raise RangeError("images", expected="finite values", got="NaN or infinity", mend="check the files")
+
+
+def _check_lights(images: Tensor, lights: Tensor) -> None:
+    if lights.shape != (len(images), 3):
+        raise ShapeError(
+            "lights", expected=f"({len(images)}, 3)", got=str(tuple(lights.shape)), mend="one light per image"
+        )
+    check_unit("lights", lights, 1, gaps=False)

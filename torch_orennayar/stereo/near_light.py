@@ -1,0 +1,150 @@
+"""Photometric stereo under near lights: normals and depth take turns."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from ..core.checks import check_floating, check_mask
+from ..core.errors import RangeError, ShapeError
+from ..core.progress import track
+from ..geometry.camera import Camera
+from ..geometry.integrate import integrate_normals
+from ..reconstruction import Reconstruction
+from ..shading.layer import point_light
+from .solver import photometric_stereo
+
+DARK = 1e-3
+"""Irradiance below this share of its light's mean counts as this: behind a light nothing is divided by nothing."""
+
+
+@torch.no_grad()
+def near_light_stereo(
+    images: Tensor,
+    positions: Tensor,
+    mask: Tensor | None = None,
+    *,
+    camera: Camera,
+    distance: float,
+    model: str = "auto",
+    rounds: int = 2,
+    seed: int = 0,
+) -> Reconstruction:
+    """Recover normals, depth, albedo, roughness and highlights from images under near point lights.
+
+    Normals and depth take turns: depth says from where each light comes and how strongly at every pixel
+    (`point_light`), `photometric_stereo` finds the normals, `integrate_normals` the depth. The turns begin with a
+    plane facing the camera and go through Lambert's model; the last one takes ``model``. Perspective views are
+    solved in each pixel's own frame.
+
+    Args:
+        images: (K, C, H, W) linear light, divided by the lights' intensities: their irradiance at distance 1.
+        positions: (K, 3) of the lights in the camera frame (x right, y up, z toward the viewer, the eye at 0: what
+            it sees has negative z), in the unit of ``distance``.
+        mask: (1, H, W) bool; default all pixels. Regions that do not touch get the same mean distance.
+        camera: one camera.
+        distance: of the object from the camera along its axis: the mean of an orthographic view's depth, the
+            geometric mean of a perspective view's. Not found from the images: measure it.
+        model: as for `photometric_stereo`.
+        rounds: turns before the last one.
+        seed: as for `photometric_stereo`.
+
+    Returns:
+        A `Reconstruction` with depth, (1, H, W), along the camera's axis, 0 outside the mask. Albedo is that of
+        a source of irradiance 1.
+
+    Raises:
+        ShapeError: shapes do not fit together.
+        RangeError: a distance that is not positive (perspective) or finite, a light in or behind the surface for
+            most pixels, less than one round.
+        CaptureError: as `photometric_stereo`.
+
+    Source:
+        Alternation of normals and depth as in Papadhimitri & Favaro 2014, "Uncalibrated near-light photometric
+        stereo"; here with calibrated lights.
+
+    Example:
+        >>> import torch, torch_orennayar as ton
+        >>> from torch_orennayar.demo import spiral_lights
+        >>> positions = 3 * spiral_lights(8) - torch.tensor([0.0, 0.0, 4.0])
+        >>> camera = ton.Camera.orthographic()
+        >>> plane = camera.points(torch.full((1, 1, 9, 9), 4.0))
+        >>> light, irradiance = ton.point_light(plane, positions.reshape(8, 3, 1, 1), 1.0)
+        >>> images = 0.5 * irradiance * light[:, 2:]  # a Lambertian plane of albedo 0.5
+        >>> found = ton.near_light_stereo(images, positions, camera=camera, distance=4.0, model="lambert")
+        >>> [round(x.item(), 3) for x in found.albedo.aminmax()]
+        [0.5, 0.5]
+    """
+    check_floating(images=images, positions=positions)
+    inside = _check(images, positions, mask, camera, distance, rounds)
+    size = (images.shape[2], images.shape[3])
+    view = camera.view_directions(size)[0].to(images)
+    depth = torch.full((1, *size), float(distance), dtype=images.dtype, device=images.device)
+    for turn in track(range(rounds + 1), "near lights", rounds + 1):
+        light, irradiance = point_light(camera.points(depth[None]), positions[:, :, None, None].to(images), 1.0)
+        _check_lights(light, view, inside)
+        irradiance = torch.maximum(irradiance, DARK * irradiance[:, :, inside[0]].mean(2, keepdim=True)[..., None])
+        found = photometric_stereo(
+            torch.where(inside, images / irradiance, 0),
+            _turn(light, view),
+            inside,
+            model=model if turn == rounds else "lambert",
+            seed=seed,
+        )
+        normal = torch.where(inside, _turn(found.normal, view, back=True), 0)
+        depth = _place(normal, inside, camera, distance)
+    return replace(found, normal=normal, depth=torch.where(inside, depth, 0))
+
+
+def _place(normal: Tensor, inside: Tensor, camera: Camera, distance: float) -> Tensor:
+    """Depth of the surface with these normals at this distance; outside the mask a plane."""
+    depth = integrate_normals(normal, inside, camera=camera)
+    return torch.where(inside, depth * distance if camera.is_perspective else depth + distance, distance)
+
+
+def _turn(vectors: Tensor, view: Tensor, *, back: bool = False) -> Tensor:
+    """Rotate (..., 3, H, W) so that every pixel's view (3, H, W) becomes the z axis, or back, by the shortest way."""
+    x, y, z = view.unbind(0)
+    share = 1 / (1 + z)
+    rows = (
+        torch.stack((1 - x * x * share, -x * y * share, -x)),
+        torch.stack((-x * y * share, 1 - y * y * share, -y)),
+        torch.stack((x, y, z)),
+    )
+    matrix = torch.stack(rows)  # (3, 3, H, W), row by row
+    return torch.einsum("jihw,...jhw->...ihw" if back else "ijhw,...jhw->...ihw", matrix, vectors)
+
+
+def _check_lights(light: Tensor, view: Tensor, inside: Tensor) -> None:
+    """No light may lie behind most of the object: then frames are mixed up."""
+    front = (light * view).sum(1)[:, inside[0]] > 0
+    behind = (front.double().mean(1) < 0.5).nonzero().flatten().tolist()
+    if 2 * len(behind) > len(light):
+        raise RangeError(
+            "positions",
+            expected="lights on the camera's side of the object (camera frame: the eye at 0, the object at z < 0)",
+            got=f"{len(behind)} of {len(light)} behind it",
+            mend="check unit and frame; swap_opencv_frame helps where z points forward",
+        )
+
+
+def _check(
+    images: Tensor, positions: Tensor, mask: Tensor | None, camera: Camera, distance: float, rounds: int
+) -> Tensor:
+    """Shapes and ranges that `photometric_stereo` does not look at; the mask, (1, H, W) bool."""
+    if images.ndim != 4:
+        raise ShapeError("images", expected="(K, C, H, W)", got=str(tuple(images.shape)), mend="one capture at a time")
+    if positions.shape != (len(images), 3):
+        raise ShapeError(
+            "positions", expected=f"({len(images)}, 3)", got=str(tuple(positions.shape)), mend="one per image"
+        )
+    if len(camera.focal) != 1:
+        raise ShapeError("camera", expected="one camera", got=f"a batch of {len(camera.focal)}", mend="pass one")
+    if not math.isfinite(distance) or (camera.is_perspective and distance <= 0):
+        raise RangeError("distance", expected="a positive number", got=str(distance), mend="measure it")
+    if rounds < 1:
+        raise RangeError("rounds", expected="at least 1", got=str(rounds), mend="use the default, 2")
+    return check_mask(mask, images)

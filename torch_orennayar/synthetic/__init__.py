@@ -1,0 +1,1 @@
+"""Rendered training data: pixels, scenes and whole captures with their truth."""
