@@ -30,7 +30,7 @@ if TYPE_CHECKING:  # what type checkers and editors read; at run time `__getattr
     from .geometry.metrics import AngularError, angular_error
     from .io.capture import Capture, load_capture
     from .io.images import decode_normals, encode_normals, linear_to_srgb, srgb_to_linear
-    from .reconstruction import Reconstruction
+    from .reconstruction import BatchReconstruction, Reconstruction
     from .reflectance.model_choice import ModelChoice, simplest_model
     from .reflectance.models import MODELS, Model, register_model, roughness_from_slope, slope_from_roughness
     from .reflectance.specular import blinn_phong, microfacet, phong
@@ -38,6 +38,7 @@ if TYPE_CHECKING:  # what type checkers and editors read; at run time `__getattr
     from .render.normal_map import NormalMap, render_normals
     from .render.shadow import cast_shadows
     from .shading.layer import OrenNayar, brdf, directional_albedo, oren_nayar, point_light
+    from .shape.height_field import silhouette_normals
     from .shape.solver import shape_from_shading
     from .stereo.near_light import near_light_stereo
     from .stereo.solver import photometric_stereo
@@ -81,7 +82,10 @@ _HOMES = {
         "linear_to_srgb",
         "srgb_to_linear",
     ),
-    "reconstruction": ("Reconstruction",),
+    "reconstruction": (
+        "BatchReconstruction",
+        "Reconstruction",
+    ),
     "reflectance.model_choice": (
         "ModelChoice",
         "simplest_model",
@@ -114,6 +118,7 @@ _HOMES = {
         "oren_nayar",
         "point_light",
     ),
+    "shape.height_field": ("silhouette_normals",),
     "shape.solver": ("shape_from_shading",),
     "stereo.near_light": ("near_light_stereo",),
     "stereo.solver": ("photometric_stereo",),
@@ -126,6 +131,7 @@ _MODULE_OF = {name: module for module, names in _HOMES.items() for name in names
 __all__ = [
     "MODELS",
     "AngularError",
+    "BatchReconstruction",
     "Camera",
     "Capture",
     "CaptureError",
@@ -170,6 +176,7 @@ __all__ = [
     "roughness_from_slope",
     "save_mesh",
     "shape_from_shading",
+    "silhouette_normals",
     "simplest_model",
     "slope_from_roughness",
     "srgb_to_linear",

@@ -33,6 +33,7 @@ from torch_orennayar import angular_error, depth_to_normals, load_capture, photo
 from torch_orennayar.core.progress import track
 from torch_orennayar.io.images import read_image
 from torch_orennayar.shape import surface_fit
+from torch_orennayar.shape.height_field import silhouette_normals
 
 METHODS = (
     *("plane", "inflated", "lambert alone", "classic alone", "vcavity alone", "lambert", "classic", "vcavity"),
@@ -63,7 +64,7 @@ def solve(case: Case, method: str) -> Tensor:
     if method == "plane":
         return torch.tensor((0.0, 0.0, 1.0)).reshape(3, 1, 1) * mask
     if method == "inflated":
-        return surface_fit.normals(surface_fit.inflate(mask), None, 1.0) * mask
+        return silhouette_normals(case.mask)
     name = method.split()[0].rstrip(",")
     model = {"classic": "qualitative"}.get(name, name)
     found = shape_from_shading(
