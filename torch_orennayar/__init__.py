@@ -41,9 +41,11 @@ if TYPE_CHECKING:  # what type checkers and editors read; at run time `__getattr
     from .shape.height_field import silhouette_normals
     from .shape.solver import shape_from_shading
     from .stereo.near_light import near_light_stereo
+    from .stereo.set_network import SetNetwork, load_network, make_tokens, save_network
     from .stereo.solver import photometric_stereo
     from .synthetic.captures import SyntheticCaptures
-    from .synthetic.pixels import Ingredients
+    from .synthetic.images import SyntheticImages
+    from .synthetic.pixels import Ingredients, SyntheticPixels
 
 _HOMES = {
     "core.errors": (
@@ -121,9 +123,19 @@ _HOMES = {
     "shape.height_field": ("silhouette_normals",),
     "shape.solver": ("shape_from_shading",),
     "stereo.near_light": ("near_light_stereo",),
+    "stereo.set_network": (
+        "SetNetwork",
+        "load_network",
+        "make_tokens",
+        "save_network",
+    ),
     "stereo.solver": ("photometric_stereo",),
     "synthetic.captures": ("SyntheticCaptures",),
-    "synthetic.pixels": ("Ingredients",),
+    "synthetic.images": ("SyntheticImages",),
+    "synthetic.pixels": (
+        "Ingredients",
+        "SyntheticPixels",
+    ),
 }
 """The module that defines each public name."""
 _MODULE_OF = {name: module for module, names in _HOMES.items() for name in names}
@@ -146,8 +158,11 @@ __all__ = [
     "OrenNayar",
     "RangeError",
     "Reconstruction",
+    "SetNetwork",
     "ShapeError",
     "SyntheticCaptures",
+    "SyntheticImages",
+    "SyntheticPixels",
     "TorchOrenNayarError",
     "__version__",
     "angular_error",
@@ -165,6 +180,8 @@ __all__ = [
     "linear_to_srgb",
     "load_capture",
     "load_mesh",
+    "load_network",
+    "make_tokens",
     "microfacet",
     "near_light_stereo",
     "oren_nayar",
@@ -175,6 +192,7 @@ __all__ = [
     "render_normals",
     "roughness_from_slope",
     "save_mesh",
+    "save_network",
     "shape_from_shading",
     "silhouette_normals",
     "simplest_model",
