@@ -16,7 +16,7 @@ from .reflectance.specular import blinn_phong
 from .shading.layer import OrenNayar
 
 HALF_CONFIDENCE = math.radians(2)
-"""Radians; the error of a normal at which confidence is 1/2. Set by hand: the error of a good reconstruction."""
+"""Standard error of a normal, radians, at which its confidence is 1/2. Set by hand."""
 
 
 @dataclass(frozen=True)
@@ -138,8 +138,8 @@ class BatchReconstruction(Reconstruction):
         raise ShapeError("self", expected="one capture", got="a batch", mend="take the captures one by one")
 
 
-def confidence(error: Tensor) -> Tensor:
-    """Confidence in [0, 1] of normals whose standard error is ``error`` radians; 1/2 at `HALF_CONFIDENCE`."""
+def confidence_from_error(error: Tensor) -> Tensor:
+    """Confidence in [0, 1] of normals with a standard error in radians; 0 for an infinite one."""
     return 1 / (1 + (error / HALF_CONFIDENCE) ** 2)
 
 

@@ -14,7 +14,7 @@ from ..core.errors import RangeError
 from ..core.findings import Finding
 from ..core.warn import warn
 from ..geometry.camera import Camera
-from ..reconstruction import Reconstruction, confidence, stack
+from ..reconstruction import Reconstruction, confidence_from_error, stack
 from ..reflectance.model_choice import simplest_model
 from ..reflectance.models import get_model
 from .height_field import depth_to_height, height_to_depth, inflate, normals, to_centers, to_corners
@@ -242,7 +242,7 @@ def _result(
         albedo=whole(reflectance.albedo),
         roughness=whole(reflectance.roughness),
         residual=whole(difference),
-        confidence=whole(confidence(error)),
+        confidence=whole(confidence_from_error(error)),
         model=settings.model,
         scores={},
         report=(*findings, *_doubts(reflectance, settings, dark)),
