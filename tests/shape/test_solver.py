@@ -135,7 +135,7 @@ def test_frontal_light_is_reported(bumpy: Field) -> None:
     assert errors(found, bumpy)["median"] < 10  # the silhouette determines which way it bulges
 
 
-def test_two_surfaces_that_explain_a_picture_alike_are_reported() -> None:
+def test_a_twin_that_explains_the_picture_as_well_is_reported() -> None:
     found = shape_from_shading(torch.full((1, 1, 7), 0.4), LIGHT)
     assert "inside-out" in codes(found)
 
@@ -334,7 +334,7 @@ class TestWindow:
         tight = shape_from_shading(image, LIGHT, mask, albedo=0.8, roughness=0.5).normal
         assert angular_error(found[0], tight, mask).summary()["mean"] < 0.5
 
-    def test_maps_and_depths_are_cut_alike(self) -> None:
+    def test_maps_and_depths_are_cropped_with_the_picture(self) -> None:
         """In perspective, off the middle, every input a map that is NaN outside the mask."""
         image, mask = self.ball()
         around = (70, 20, 10, 40)

@@ -15,7 +15,7 @@ from ..geometry.camera import Camera
 
 DIRECT_SOLVE_PIXELS = 5000
 """Largest number of unknowns of `inflate` that a sparse direct solver gets; more go to algebraic multigrid. Set by
-hand, by the time that either takes."""
+hand."""
 MULTIGRID_TOLERANCE = 1e-4
 """Relative residual at which multigrid stops in `inflate`; set by hand: the result is only a start and a prior."""
 

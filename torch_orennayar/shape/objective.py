@@ -26,7 +26,8 @@ SLANT_WEIGHT = 0.02
 UNLIT_WEIGHT = 1.0
 """Weight, per pixel, that turns bright pixels toward the light: shading itself has no slope where it is 0."""
 OUTLIER_SCALE = 0.15
-"""Share of the picture's peak at which a residual's weight is halved (Geman-McClure): cast shadows, highlights."""
+"""Share of the picture's peak; a residual of this size costs half its square (Geman-McClure), larger ones ever less:
+cast shadows, highlights."""
 KNOWN_WEIGHT = 0.05
 """Weight of a known height, per squared pixel of height."""
 LIT_SHARE = 0.05

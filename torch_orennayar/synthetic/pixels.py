@@ -2,9 +2,8 @@
 
 Every function that draws takes a `Draw`, the random numbers of one sample; `Ingredients` limits what may be drawn.
 
-Numbers in the functions (shares of light arrangements, ranges of angles, widths and strengths) were set by hand, those
-of materials near what was fitted to 151 measured materials, and kept where a network trained on them did better on the
-renders of ``tests/support/rendered_captures.py``.
+Numbers in the functions (shares of light arrangements, ranges of angles, widths and strengths) were set by hand; what
+they rest on for materials is said at `Ingredients`.
 """
 
 from __future__ import annotations
@@ -61,7 +60,7 @@ class Ingredients:
         shadows: largest number of walls that may block lights; 0 also turns cast shadows off.
         bounce: whether walls, and in pictures and scenes the surface itself, reflect light onto pixels.
         ambient: largest uniform light, as a share of the mean.
-        light_error: largest error of light directions, radians.
+        light_error: largest standard deviation of each coordinate of the stated light directions, radians.
         intensity_error: largest relative error of the lights' stated intensities.
         noise: largest multiplicative and additive noise, standard deviations, as shares of the pixel's value and mean.
         clipped: share of saturated pixels.
@@ -194,7 +193,7 @@ class Materials:
         """``pi f_r`` (P, K) by positive cosines (P, K): ``n.l``, ``n.v`` and ``l.v``."""
         value = get_model("vcavity").function(ci, co, lv, self.albedo, self.roughness)
         squared_lh = ((1 + lv) / 2).clamp_min(0)  # (l.h)^2
-        grazing = 2 * self.burley_roughness * squared_lh - 0.5  # Burley 2012, equation 4
+        grazing = 2 * self.burley_roughness * squared_lh - 0.5  # F_D90 - 1 of Burley 2012
         burley = (1 + grazing * (1 - ci) ** 5) * (1 + grazing * (1 - co) ** 5)
         value = value * (1 + self.retro * (burley - 1)) * (ci * co).clamp_min(1e-3) ** self.falloff
         value = value * self.diffuse_weight
