@@ -32,12 +32,15 @@ if TYPE_CHECKING:  # what type checkers and editors read; at run time `__getattr
     from .io.images import decode_normals, encode_normals, linear_to_srgb, srgb_to_linear
     from .reconstruction import Reconstruction
     from .reflectance.model_choice import ModelChoice, simplest_model
-    from .reflectance.models import MODELS, Model, register_model, roughness_from_slope, slope_from_roughness
+    from .reflectance.models import MODELS, Model, register_model
+    from .reflectance.roughness import roughness_from_slope, slope_from_roughness
     from .reflectance.specular import blinn_phong, microfacet, phong
     from .render.antialias import antialias, face_neighbours
     from .render.normal_map import NormalMap, render_normals
     from .render.shadow import cast_shadows
-    from .shading.layer import OrenNayar, brdf, directional_albedo, oren_nayar, point_light
+    from .shading.functional import brdf, directional_albedo, oren_nayar
+    from .shading.layer import OrenNayar
+    from .shading.point_light import point_light
     from .shape.solver import shape_from_shading
     from .stereo.near_light import near_light_stereo
     from .stereo.solver import photometric_stereo
@@ -90,6 +93,8 @@ _HOMES = {
         "MODELS",
         "Model",
         "register_model",
+    ),
+    "reflectance.roughness": (
         "roughness_from_slope",
         "slope_from_roughness",
     ),
@@ -107,13 +112,13 @@ _HOMES = {
         "render_normals",
     ),
     "render.shadow": ("cast_shadows",),
-    "shading.layer": (
-        "OrenNayar",
+    "shading.functional": (
         "brdf",
         "directional_albedo",
         "oren_nayar",
-        "point_light",
     ),
+    "shading.layer": ("OrenNayar",),
+    "shading.point_light": ("point_light",),
     "shape.solver": ("shape_from_shading",),
     "stereo.near_light": ("near_light_stereo",),
     "stereo.solver": ("photometric_stereo",),

@@ -69,7 +69,7 @@ def gauss_legendre(count: int) -> tuple[Tensor, Tensor]:
 
 
 @cache
-def _legendre(modes: int) -> tuple[Tensor, Tensor]:
+def legendre_coefficients(modes: int) -> tuple[Tensor, Tensor]:
     """Coefficients of the orthonormal polynomials on [0, 1] and of their integrals from x to 1, by power of x."""
     rows = np.zeros((modes, modes))
     integrals = np.zeros((modes, modes + 1))
@@ -97,7 +97,7 @@ def _exchange(slope: Tensor) -> Tensor:
     power = torch.arange(1, MODES + 1, device=slope.device)
     k = 0.5 * slope[..., None] * (_powers(ratio, MODES)[..., 1:] * (seen * weight)[..., None]).sum(-2)
     moments = (k[..., :, None] + k[..., None, :]) / (power[:, None] + power[None, :] - 1)
-    basis = _legendre(MODES)[0].to(slope)
+    basis = legendre_coefficients(MODES)[0].to(slope)
     return basis @ moments @ basis.T
 
 
@@ -160,7 +160,7 @@ def _string(x: Tensor | float, y: Tensor | float, turn: Tensor) -> Tensor:
 
 def _lit_moments(start: Tensor) -> Tensor:
     """Integrals of the polynomials from ``start`` to 1, (..., MODES)."""
-    return _powers(start, MODES) @ _legendre(MODES)[1].to(start).T
+    return _powers(start, MODES) @ legendre_coefficients(MODES)[1].to(start).T
 
 
 def _powers(x: Tensor, highest: int) -> Tensor:

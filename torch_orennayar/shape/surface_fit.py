@@ -17,7 +17,8 @@ from torch import Tensor
 
 from ..core.progress import track
 from ..reflectance.models import get_model
-from ..shading import tiled as evaluation
+from ..shading import tiled
+from ..shading.inputs import ShadingInputs
 
 COARSEST = 24
 """Levels are halved while the shorter side stays at least as long as this."""
@@ -251,8 +252,8 @@ def unknowns(scene: Scene, surface: Surface, wish: FitSettings) -> tuple[Tensor,
 def shade(scene: Scene, surface: Surface, normal: Tensor, wish: FitSettings) -> Tensor:
     """The picture of a surface, (C, H, W)."""
     albedo, roughness, ambient = unknowns(scene, surface, wish)
-    parts = normal, scene.light, scene.view, albedo, roughness, None
-    return evaluation.shade(get_model(wish.model), parts, -3, normal.dtype) + albedo * ambient
+    inputs = ShadingInputs(normal, scene.light, scene.view, albedo, roughness)
+    return tiled.shade(get_model(wish.model), inputs, -3, normal.dtype) + albedo * ambient
 
 
 def lit(scene: Scene, surface: Surface, wish: FitSettings) -> Tensor:
