@@ -23,10 +23,11 @@ if TYPE_CHECKING:  # what type checkers and editors read; at run time `__getattr
     )
     from .core.findings import Finding
     from .export.api import export_onnx
-    from .geometry.camera import Camera, swap_opencv_frame
+    from .geometry.camera import Camera
     from .geometry.depth import depth_to_normals
+    from .geometry.frames import swap_opencv_frame
     from .geometry.integrate import integrate_normals
-    from .geometry.mesh import load_mesh, save_mesh, vertex_normals
+    from .geometry.mesh import load_mesh, normalise_mesh, save_mesh, vertex_normals
     from .geometry.metrics import AngularError, angular_error
     from .io.capture import Capture, load_capture
     from .io.images import decode_normals, encode_normals, linear_to_srgb, srgb_to_linear
@@ -59,14 +60,13 @@ _HOMES = {
     ),
     "core.findings": ("Finding",),
     "export.api": ("export_onnx",),
-    "geometry.camera": (
-        "Camera",
-        "swap_opencv_frame",
-    ),
+    "geometry.camera": ("Camera",),
     "geometry.depth": ("depth_to_normals",),
+    "geometry.frames": ("swap_opencv_frame",),
     "geometry.integrate": ("integrate_normals",),
     "geometry.mesh": (
         "load_mesh",
+        "normalise_mesh",
         "save_mesh",
         "vertex_normals",
     ),
@@ -166,6 +166,7 @@ __all__ = [
     "load_mesh",
     "microfacet",
     "near_light_stereo",
+    "normalise_mesh",
     "oren_nayar",
     "phong",
     "photometric_stereo",
