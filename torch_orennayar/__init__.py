@@ -23,21 +23,25 @@ if TYPE_CHECKING:  # what type checkers and editors read; at run time `__getattr
     )
     from .core.findings import Finding
     from .export.api import export_onnx
-    from .geometry.camera import Camera, swap_opencv_frame
+    from .geometry.camera import Camera
     from .geometry.depth import depth_to_normals
+    from .geometry.frames import swap_opencv_frame
     from .geometry.integrate import integrate_normals
-    from .geometry.mesh import load_mesh, save_mesh, vertex_normals
+    from .geometry.mesh import load_mesh, normalise_mesh, save_mesh, vertex_normals
     from .geometry.metrics import AngularError, angular_error
     from .io.capture import Capture, load_capture
     from .io.images import decode_normals, encode_normals, linear_to_srgb, srgb_to_linear
     from .reconstruction import BatchReconstruction, Reconstruction
     from .reflectance.model_choice import ModelChoice, simplest_model
-    from .reflectance.models import MODELS, Model, register_model, roughness_from_slope, slope_from_roughness
+    from .reflectance.models import MODELS, Model, register_model
+    from .reflectance.roughness import roughness_from_slope, slope_from_roughness
     from .reflectance.specular import blinn_phong, microfacet, phong
     from .render.antialias import antialias, face_neighbours
     from .render.normal_map import NormalMap, render_normals
     from .render.shadow import cast_shadows
-    from .shading.layer import OrenNayar, brdf, directional_albedo, oren_nayar, point_light
+    from .shading.functional import brdf, directional_albedo, oren_nayar
+    from .shading.layer import OrenNayar
+    from .shading.point_light import point_light
     from .shape.height_field import silhouette_normals
     from .shape.solver import shape_from_shading
     from .stereo.near_light import near_light_stereo
@@ -59,14 +63,13 @@ _HOMES = {
     ),
     "core.findings": ("Finding",),
     "export.api": ("export_onnx",),
-    "geometry.camera": (
-        "Camera",
-        "swap_opencv_frame",
-    ),
+    "geometry.camera": ("Camera",),
     "geometry.depth": ("depth_to_normals",),
+    "geometry.frames": ("swap_opencv_frame",),
     "geometry.integrate": ("integrate_normals",),
     "geometry.mesh": (
         "load_mesh",
+        "normalise_mesh",
         "save_mesh",
         "vertex_normals",
     ),
@@ -96,6 +99,8 @@ _HOMES = {
         "MODELS",
         "Model",
         "register_model",
+    ),
+    "reflectance.roughness": (
         "roughness_from_slope",
         "slope_from_roughness",
     ),
@@ -113,13 +118,13 @@ _HOMES = {
         "render_normals",
     ),
     "render.shadow": ("cast_shadows",),
-    "shading.layer": (
-        "OrenNayar",
+    "shading.functional": (
         "brdf",
         "directional_albedo",
         "oren_nayar",
-        "point_light",
     ),
+    "shading.layer": ("OrenNayar",),
+    "shading.point_light": ("point_light",),
     "shape.height_field": ("silhouette_normals",),
     "shape.solver": ("shape_from_shading",),
     "stereo.near_light": ("near_light_stereo",),
@@ -184,6 +189,7 @@ __all__ = [
     "make_tokens",
     "microfacet",
     "near_light_stereo",
+    "normalise_mesh",
     "oren_nayar",
     "phong",
     "photometric_stereo",

@@ -220,7 +220,7 @@ def shares(mesh: Mesh, size: int, runs: int) -> dict[str, float]:
     x, y, w = image.unbind(2)
     points = raster.Projected(x, y, w, -corners[:, :, 2])
     face = raster.visible_faces(points, mesh[1], (size, size), None, None)
-    surface = interpolate.Surface(corners, image, normals.double()[None], True)
+    surface = interpolate.VertexAttributes(corners, image, normals.double()[None], True)
     calls: dict[str, Call] = {
         "whole": lambda: render.render_normals(*mesh, camera, (size, size), vertex_normals=normals),
         "visible faces": lambda: raster.visible_faces(points, mesh[1], (size, size), None, None),

@@ -14,7 +14,7 @@ from scipy.optimize import least_squares
 from torch import Tensor
 
 from scripts.fit.theory_reference import Directions, cosine_weighted, theory
-from torch_orennayar.reflectance import models as reflectance
+from torch_orennayar.reflectance import formulas as reflectance
 
 ALBEDO = torch.tensor([0.2, 0.5, 0.9], dtype=torch.float64)
 ROUGHNESS = torch.arange(5, 91, 5, dtype=torch.float64)

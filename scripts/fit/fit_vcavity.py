@@ -25,11 +25,11 @@ from scipy.optimize import minimize
 from torch import Tensor
 
 from scripts.fit.theory_reference import Directions, cosine_weighted, from_angles, grazing, horizon, join, theory
-from torch_orennayar.reflectance import models as reflectance
+from torch_orennayar.reflectance import formulas
 from torch_orennayar.reflectance.coefficients import VCAVITY_LINEAR, VCAVITY_SHAPE
 from torch_orennayar.reflectance.theory import gauss_legendre
 
-TARGET = Path(reflectance.__file__).with_name("coefficients.py")
+TARGET = Path(formulas.__file__).with_name("coefficients.py")
 ROUGHNESS = torch.arange(5, 91, 5, dtype=torch.float64)
 ALBEDO = torch.tensor([0.05, 0.2, 0.5, 0.9, 1.0], dtype=torch.float64)
 JUDGED_ROUGHNESS, JUDGED_ALBEDO = (5, 10, 20, 30, 40, 50, 60), (0.2, 0.5, 0.9)
@@ -42,7 +42,7 @@ STEPS = 800
 def form(pairs: Directions, shape: list[float], linear: list[float], sigma: Tensor, rho: Tensor = ALBEDO) -> Tensor:
     """``pi f_r / rho`` of the form for (S, N, K): roughness, directions, albedo."""
     ci, co, lv = (c[:, None] for c in (pairs.ci, pairs.co, pairs.lv))
-    return reflectance.vcavity_form(ci, co, lv, rho, sigma.deg2rad()[:, None, None], shape, linear)
+    return formulas.vcavity_form(ci, co, lv, rho, sigma.deg2rad()[:, None, None], shape, linear)
 
 
 def columns(pairs: Directions, shape: list[float], rho: Tensor = ALBEDO) -> tuple[Tensor, Tensor]:

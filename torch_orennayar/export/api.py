@@ -18,7 +18,7 @@ from ..core.files import atomic_path
 from ..geometry.camera import Camera
 from ..reflectance.models import get_model
 from ..render.normal_map import check_size
-from ..shading.layer import oren_nayar
+from ..shading.functional import oren_nayar
 from ..stereo.closed_form import CANDIDATES, solve_closed_form
 from ..stereo.network_solver import NETWORK, TRAINED_LIGHTS, solve_network
 from ..stereo.set_network import load_network

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from ..reflectance.models import ModelFunction, get_model
-from ..shading.tiled import above_horizon, facing_both
+from ..shading.evaluate import above_horizon, facing_both
 from .nodes import Nodes, as_model, inline, write_graph
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from ..geometry.primitives import Ball, spiral_lights
 from ..reflectance.models import get_model
-from ..shading.layer import oren_nayar
+from ..shading.functional import oren_nayar
 from ..stereo.closed_form import CANDIDATES, SAMPLES, TURNS, Begin, Choose, Finish, Prepare, Sample, Turn
 from .nodes import Nodes
 from .pixel_graph import PixelGraph

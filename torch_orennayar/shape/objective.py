@@ -10,6 +10,7 @@ from torch import Tensor
 
 from ..reflectance.models import get_model
 from ..shading import tiled
+from ..shading.inputs import ShadingInputs
 from .height_field import normals, to_centers
 from .scene import PictureScene
 
@@ -111,8 +112,8 @@ class Reflectance:
 def shade(scene: PictureScene, reflectance: Reflectance, normal: Tensor, model: str) -> Tensor:
     """The picture (C, H, W) that normals (3, H, W) give; ambient light is reflected as by a matt surface."""
     albedo = reflectance.albedo
-    parts = normal, scene.light, scene.view, albedo, reflectance.roughness, None
-    return tiled.shade(get_model(model), parts, -3, normal.dtype) + albedo * reflectance.ambient
+    inputs = ShadingInputs(normal, scene.light, scene.view, albedo, reflectance.roughness)
+    return tiled.shade(get_model(model), inputs, -3, normal.dtype) + albedo * reflectance.ambient
 
 
 def lit_pixels(scene: PictureScene, reflectance: Reflectance) -> Tensor:

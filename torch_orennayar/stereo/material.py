@@ -12,8 +12,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from ..reflectance.models import get_model
-from ..shading.tiled import pull
+from ..reflectance.models import get_model, value_and_vjp
 
 
 @dataclass(frozen=True)
@@ -179,7 +178,7 @@ def _rough(
     """Value and derivatives of a model with roughness: by light, view, albedo and roughness."""
     ci = torch.maximum(raw * lit, 1 - lit).clamp_min(1e-4)
     co, rho = (t.expand_as(ci).contiguous() for t in (normal[:, 2:], albedo * unit))
-    f, (d_ci, d_co, _, d_rho, d_sigma) = pull(get_model(model), (ci, co, lights[..., 2], rho, sigma), lit)
+    f, (d_ci, d_co, _, d_rho, d_sigma) = value_and_vjp(get_model(model), (ci, co, lights[..., 2], rho, sigma), lit)
     f = f * lit / unit
     by_light = f if d_ci is None else torch.addcmul(f, ci, d_ci / unit)
     return (

@@ -14,7 +14,7 @@ from ..core.progress import track
 from ..geometry.camera import Camera
 from ..geometry.integrate import integrate_normals
 from ..reconstruction import Reconstruction
-from ..shading.layer import point_light
+from ..shading.point_light import point_light
 from .solver import photometric_stereo
 
 DARK = 1e-3

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from ..core.checks import check_unit
 from ..core.progress import track
-from ..shading.tiled import working_dtype
+from ..shading.precision import working_dtype
 from . import robust_fit
 from .material import LightDirections, Material
 from .pixel_grid import Grid, agree, neighbourhood_normals, shared_misfit

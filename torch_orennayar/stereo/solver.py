@@ -13,7 +13,7 @@ from ..core.errors import CaptureError, RangeError, ShapeError
 from ..core.warn import warn
 from ..reconstruction import Reconstruction, stack
 from ..reflectance.models import get_model
-from ..shading.tiled import working_dtype
+from ..shading.precision import working_dtype
 from . import robust_fit
 from .interreflection import InterreflectedLight, choose_interreflected_light
 from .material import LightDirections, Material
