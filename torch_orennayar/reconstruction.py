@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -10,8 +11,17 @@ import torch
 from torch import Tensor
 
 from .core.errors import ShapeError
+from .core.findings import Finding
 from .reflectance.specular import blinn_phong
 from .shading.layer import OrenNayar
+
+HALF_CONFIDENCE = math.radians(2)
+"""Standard error of a normal, radians, at which its confidence is 1/2. Set by hand."""
+
+
+def confidence_from_error(error: Tensor) -> Tensor:
+    """Confidence in [0, 1] of normals with a standard error in radians; 0 for an infinite one."""
+    return 1 / (1 + (error / HALF_CONFIDENCE) ** 2)
 
 
 @dataclass(frozen=True)
@@ -53,7 +63,7 @@ class Reconstruction:
     confidence: Tensor
     model: str | tuple[str, ...]
     scores: dict[str, float] | tuple[dict[str, float], ...]
-    report: tuple[str, ...]
+    report: tuple[Finding, ...]
     specular: Tensor | None = None
     exponents: tuple[Any, ...] = ()
     falloff: float | tuple[float, ...] = 1.0
@@ -110,5 +120,7 @@ def stack(found: Sequence[Reconstruction]) -> Reconstruction:
     return Reconstruction(
         **values,
         specular=lobes,
-        report=tuple(f"capture {b}: {line}" for b, r in enumerate(found) for line in r.report),
+        report=tuple(
+            Finding(f"capture {b}: {line}", line.code, line.value) for b, r in enumerate(found) for line in r.report
+        ),
     )
