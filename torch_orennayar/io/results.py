@@ -275,7 +275,9 @@ def _write_page(
         )
     ]
     if numbers["scores"]:
-        chosen = Material(numbers["model"], falloff=numbers["falloff"], exponents=tuple(numbers["exponents"])).name
+        chosen = Material(
+            numbers["model"], minnaert_exponent=numbers["falloff"], exponents=tuple(numbers["exponents"])
+        ).name
         save_bars(folder / "scores.png", numbers["scores"], unit="score, share of the mean", highlight=chosen)
         text = (
             "Each candidate was fitted twice, each time without some of the lights. The bars show its error on these, "
