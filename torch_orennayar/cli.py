@@ -374,7 +374,7 @@ def info(
 
 
 def _info_graph(path: Path) -> None:
-    from .export.api import describe_onnx
+    from .export.describe import describe_onnx
 
     if path.suffix.lower() != ".onnx":
         raise FileError(str(path), expected="an .onnx file", got=path.suffix or "no suffix", mend="give a graph")

@@ -12,7 +12,7 @@ import torch_orennayar as ton
 from tests.support import rendered_captures
 from tests.support.objects import Scene, run_graph
 from torch_orennayar import FileError, SyntheticCaptures, angular_error, load_capture, photometric_stereo
-from torch_orennayar.export.api import describe_onnx
+from torch_orennayar.export.describe import describe_onnx
 from torch_orennayar.stereo.network_solver import Smooth, solve_network
 from torch_orennayar.stereo.set_network import WEIGHTS, SetNetwork, load_network, make_tokens, save_network
 

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from ..core.checks import check_unit
-from ..shading.tiled import working_dtype
+from ..shading.precision import working_dtype
 from .material import LightDirections
 
 SAMPLE_PIXELS = 2500
