@@ -1,4 +1,4 @@
-"""Progress bars for long work: on a terminal a bar on stderr, elsewhere silence."""
+"""Progress bars for long work: on a terminal a bar on stderr, or one line without rich; elsewhere silence."""
 
 from __future__ import annotations
 
@@ -20,7 +20,11 @@ def track(items: Iterable[T], description: str, total: int | None = None) -> Ite
     if not sys.stderr.isatty():
         yield from items
         return
-    from rich.console import Console
-    from rich.progress import track as rich_track
-
+    try:
+        from rich.console import Console
+        from rich.progress import track as rich_track
+    except ModuleNotFoundError:
+        say(description)
+        yield from items
+        return
     yield from rich_track(items, description, total, console=Console(stderr=True), transient=True)

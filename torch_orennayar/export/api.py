@@ -15,6 +15,7 @@ from torch import Tensor, nn
 from .._version import __version__
 from ..core.errors import ExportError
 from ..core.files import atomic_path
+from ..core.optional import require
 from ..geometry.camera import Camera
 from ..reflectance.models import get_model
 from ..render.normal_map import check_size
@@ -105,6 +106,7 @@ def export_onnx(
         >>> path.stat().st_size > 0
         True
     """
+    require("onnx", "onnxscript", "onnxruntime")
     if dtype not in (torch.float32, torch.float16):
         raise ExportError("dtype", expected="float32 or float16", got=str(dtype), mend="choose one")
     if isinstance(what, nn.Module):
@@ -238,6 +240,7 @@ def describe_onnx(path: str | os.PathLike[str]) -> dict[str, Any]:
     Raises:
         ExportError: the file is missing or no ONNX graph.
     """
+    require("onnx")
     import onnx
 
     file = Path(path)

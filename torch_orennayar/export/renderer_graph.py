@@ -9,6 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from ..core import torch_private
+from ..core.optional import require
 from ..geometry.camera import Camera
 from ..reflectance.models import get_model
 from ..render.normal_map import rasterise
@@ -101,6 +102,7 @@ def _trace(renderer: Renderer, example: tuple[Tensor, ...], shapes: dict[str, di
 
 def renderer_trials(renderer: Renderer) -> list[tuple[Tensor, ...]]:
     """Inputs to try a graph on: a sphere in view, and triangles of all sizes around the eye, some behind it."""
+    require("trimesh")
     import trimesh
 
     camera = renderer.camera

@@ -16,6 +16,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from ..core.errors import RangeError, ShapeError
+from ..core.optional import require
 
 if TYPE_CHECKING:
     from kornia.geometry.camera import PinholeCamera
@@ -208,6 +209,7 @@ class Camera:
         Raises:
             RangeError: the camera is orthographic.
         """
+        require("kornia")
         from kornia.geometry.camera import PinholeCamera
 
         if not self.is_perspective:

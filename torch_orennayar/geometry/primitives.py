@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from ..core.optional import require
+
 
 @dataclass(frozen=True)
 class Ball:
@@ -35,6 +37,7 @@ class Ball:
 
 def bumpy_ball() -> tuple[Tensor, Tensor]:
     """A bumpy ball: an icosphere whose radius follows a few smooth waves; (V, 3) and (F, 3)."""
+    require("trimesh")
     import trimesh
 
     ball = trimesh.creation.icosphere(subdivisions=6)

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from ..core.errors import FileError, RangeError, ShapeError
 from ..core.files import atomic_path
+from ..core.optional import require
 
 IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".hdr"})
 MAX_PIXELS = 150_000_000
@@ -36,6 +37,7 @@ def read_image(path: str | os.PathLike[str]) -> npt.NDArray[np.generic]:
         >>> int(read_image(path)[0, 0])
         32768
     """
+    require("cv2")
     import cv2
 
     file = Path(path)
@@ -56,6 +58,7 @@ def read_image(path: str | os.PathLike[str]) -> npt.NDArray[np.generic]:
 
 def _check_container(file: Path) -> None:
     """Size and integrity, which OpenCV alone does not promise to check."""
+    require("PIL")
     import PIL.Image
 
     try:
@@ -101,6 +104,7 @@ def write_image(path: str | os.PathLike[str], image: Tensor, *, bits: int = 8) -
         ShapeError: not (1|3, H, W).
         FileError: the format cannot hold it, or the place cannot be written.
     """
+    require("cv2")
     import cv2
 
     if image.ndim != 3 or image.shape[0] not in (1, 3):
@@ -163,6 +167,7 @@ def write_animation(path: str | os.PathLike[str], frames: Sequence[Tensor], *, r
 
 
 def _write_gif(path: Path, pixels: Sequence[Tensor], rate: int) -> None:
+    require("PIL")
     import PIL.Image
 
     # One palette for all, or colours flicker: of every frame a part of the pixels.
@@ -173,6 +178,7 @@ def _write_gif(path: Path, pixels: Sequence[Tensor], rate: int) -> None:
 
 
 def _write_mp4(path: Path, pixels: Sequence[Tensor], rate: int) -> None:
+    require("cv2")
     import cv2
 
     height, width = pixels[0].shape[:2]
@@ -186,6 +192,7 @@ def _write_mp4(path: Path, pixels: Sequence[Tensor], rate: int) -> None:
 
 def srgb_to_linear(image: Tensor) -> Tensor:
     """Undo the sRGB curve: encoded values in [0, 1] to linear light, any (..., C, H, W); differentiable."""
+    require("kornia")
     from kornia.color import rgb_to_linear_rgb
 
     linear: Tensor = rgb_to_linear_rgb(image.expand(*image.shape[:-3], 3, -1, -1))
@@ -210,6 +217,7 @@ def linear_to_srgb(image: Tensor, *, tone_map: str = "clamp") -> Tensor:
         >>> round(ton.linear_to_srgb(torch.full((1, 1, 1), 0.214)).item(), 2)
         0.5
     """
+    require("kornia")
     from kornia.color import linear_rgb_to_rgb
 
     if tone_map not in ("clamp", "reinhard"):

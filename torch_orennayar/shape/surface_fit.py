@@ -15,6 +15,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from ..core.optional import require
 from ..core.progress import track
 from ..reflectance.models import get_model
 from ..shading import tiled as evaluation
@@ -189,6 +190,7 @@ def normals(height: Tensor, rays: Tensor | None, pixel: float) -> Tensor:
 
 def inflate(mask: Tensor) -> Tensor:
     """A pillow on a mask (1, H, W), corners' heights (1, H + 1, W + 1): a half ellipsoid on an ellipse."""
+    require("pyamg", "scipy")
     import pyamg
     import scipy.sparse.linalg
 
