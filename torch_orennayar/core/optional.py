@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import sys
 from importlib import import_module
+
+import torch
 
 from .errors import MissingPackageError
 
@@ -41,7 +42,9 @@ def require(*modules: str) -> None:
         >>> from torch_orennayar.core.optional import require
         >>> require("trimesh")
     """
-    missing = [name for name in modules if name not in sys.modules and not _can_import(name)]
+    if torch.compiler.is_compiling():  # the compiler cannot trace import_module, but the import that follows
+        return
+    missing = [name for name in modules if not _can_import(name)]
     if not missing:
         return
     packages = [PACKAGES[name][0] for name in missing]
