@@ -16,7 +16,14 @@ from ..core.findings import Finding
 from ..core.optional import require
 from ..stereo.calibrate import find_ball, find_circle, light_directions, own_intensities
 from .images import write_image
-from .light_files import find_intensity_file, find_light_file, read_directions, read_intensities
+from .light_files import (
+    DIRECTIONS_FILE,
+    INTENSITIES_FILE,
+    find_intensity_file,
+    find_light_file,
+    read_directions,
+    read_intensities,
+)
 from .photographs import find_ambient, list_photographs, path_inside, read_mask, read_photographs
 
 TRUTH_FILES = ("Normal_gt.mat", "normal_gt.npy")
@@ -206,8 +213,8 @@ def save_capture(
     for name, image, scale in zip(names, images, top, strict=True):
         write_image(folder / name, image / scale, bits=16)
     (folder / "filenames.txt").write_text("\n".join(names) + "\n")
-    np.savetxt(folder / "light_directions.txt", lights.cpu().numpy(), fmt="%.8f")
-    np.savetxt(folder / "light_intensities.txt", (1 / top)[:, None].expand(-1, 3).cpu().numpy(), fmt="%.8g")
+    np.savetxt(folder / DIRECTIONS_FILE, lights.cpu().numpy(), fmt="%.8f")
+    np.savetxt(folder / INTENSITIES_FILE, (1 / top)[:, None].expand(-1, 3).cpu().numpy(), fmt="%.8g")
     write_image(folder / "mask.png", mask.float())
     if normal is not None:
         np.save(folder / "normal_gt.npy", normal.permute(1, 2, 0).cpu().numpy())

@@ -132,7 +132,7 @@ def write_image(path: str | os.PathLike[str], image: Tensor, *, bits: int = 8) -
     try:
         done, data = cv2.imencode(file.suffix, array)
     except cv2.error:
-        done, data = False, None
+        done, data = False, np.empty(0, np.uint8)
     if not done:
         raise FileError(str(file), expected="a .png or .tiff name", got=file.suffix or "no suffix", mend="rename it")
     with atomic_path(file) as temporary:

@@ -13,10 +13,14 @@ from ..core.errors import FileError, RangeError
 from ..core.files import atomic_path
 from ..core.findings import Finding
 
-LIGHT_FILES = ("light_directions.txt", "lights.txt")
-"""Names of the file of light directions, the first that exists is read; the first is DiLiGenT's (Shi et al. 2016)."""
-INTENSITY_FILES = ("light_intensities.txt", "intensities.txt")
-"""Names of the file of light intensities, in the same way."""
+DIRECTIONS_FILE = "light_directions.txt"
+"""Name of the file of light directions in DiLiGenT's folders (Shi et al. 2016), and of those written here."""
+INTENSITIES_FILE = "light_intensities.txt"
+"""Name of the file of light intensities, from the same source."""
+LIGHT_FILES = (DIRECTIONS_FILE, "lights.txt")
+"""Names of files of light directions; the first that exists is read."""
+INTENSITY_FILES = (INTENSITIES_FILE, "intensities.txt")
+"""Names of files of light intensities; the first that exists is read."""
 LENGTH_TOLERANCE = 0.02
 """Largest difference of a direction's length from 1, the tolerance of `core.checks.check_unit`; text files round."""
 
@@ -98,7 +102,7 @@ def read_directions(file: Path) -> tuple[list[str], Tensor]:
             f"{file} entry {index + 1}",
             expected="a unit vector",
             got=f"length {length[index].item():.4g}",
-            mend=f"divide it by its length; intensities belong in {INTENSITY_FILES[0]}",
+            mend=f"divide it by its length; intensities belong in {INTENSITIES_FILE}",
         )
     return names, (directions / length).float()
 

@@ -8,11 +8,10 @@ from typing import TypedDict
 
 import numpy as np
 
-from ..core.errors import ShapeError
 from ..core.findings import Finding
 from ..reconstruction import Reconstruction
 from .capture import Capture
-from .result_maps import ResultMaps
+from .result_maps import ResultMaps, unbatched
 
 
 class FindingEntry(TypedDict):
@@ -58,9 +57,7 @@ def result_numbers(
     Raises:
         ShapeError: ``found`` is a batch.
     """
-    model, scores, falloff, error = found.model, found.scores, found.falloff, found.roughness_error
-    if isinstance(model, tuple) or isinstance(scores, tuple) or isinstance(falloff, tuple) or isinstance(error, tuple):
-        raise ShapeError("found", expected="one capture", got="a batch", mend="write the results of a batch one by one")
+    model, scores, falloff, error = unbatched(found)
     inside = np.degrees(maps.roughness[maps.mask].numpy())
     report = (*capture.notes, *found.report)
     return {
