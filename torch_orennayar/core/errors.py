@@ -58,3 +58,7 @@ class FileError(TorchOrenNayarError, OSError):
 
 class ExportError(TorchOrenNayarError, RuntimeError):
     """A graph could not be written, or does not compute what torch computes."""
+
+
+class MissingPackageError(TorchOrenNayarError, ImportError):
+    """A third-party package that only this part needs is not installed; the message holds the ``pip`` command."""

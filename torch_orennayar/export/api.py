@@ -11,6 +11,7 @@ from torch import Tensor, nn
 
 from ..core.errors import ExportError
 from ..core.files import atomic_path
+from ..core.optional import require
 from ..geometry.camera import Camera
 from ..stereo.network_solver import NETWORK
 from .describe import write_metadata
@@ -91,6 +92,7 @@ def export_onnx(
         >>> path.stat().st_size > 0
         True
     """
+    require("onnx", "onnxscript", "onnxruntime")
     if dtype not in (torch.float32, torch.float16):
         raise ExportError("dtype", expected="float32 or float16", got=str(dtype), mend="choose one")
     if isinstance(what, nn.Module):

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, TypedDict
 
 from .._version import __version__
 from ..core.errors import ExportError
+from ..core.optional import require
 
 if TYPE_CHECKING:
     import onnx
@@ -43,6 +44,7 @@ def describe_onnx(path: str | os.PathLike[str]) -> GraphDescription:
     Raises:
         ExportError: the file is missing or is not an ONNX graph.
     """
+    require("onnx")
     import onnx
 
     file = Path(path)

@@ -10,6 +10,7 @@ from torch import Tensor, nn
 
 from ..core import torch_private
 from ..core.errors import ExportError
+from ..core.optional import require
 from ..geometry.camera import Camera
 from ..reflectance.models import get_model
 from ..render.normal_map import check_size, rasterise
@@ -134,6 +135,7 @@ def _program(
 
 def renderer_trials(renderer: Renderer) -> list[tuple[Tensor, ...]]:
     """A sphere in view, and random triangles of all sizes around the eye, some of them behind it."""
+    require("trimesh")
     import trimesh
 
     camera = renderer.camera

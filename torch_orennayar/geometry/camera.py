@@ -16,6 +16,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from ..core.errors import RangeError, ShapeError
+from ..core.optional import require
 from .frames import swap_opencv_frame
 
 if TYPE_CHECKING:
@@ -199,6 +200,7 @@ class Camera:
         Raises:
             RangeError: the camera is orthographic.
         """
+        require("kornia")
         from kornia.geometry.camera import PinholeCamera
 
         if not self.is_perspective:

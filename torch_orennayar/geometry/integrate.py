@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from ..core.errors import CaptureError, RangeError, ShapeError
+from ..core.optional import require
 from ..core.progress import track
 from .camera import Camera
 
@@ -198,6 +199,7 @@ def _integrate(field: _Field) -> Floats:
 
 def _solve(pairs: Sequence[_Pairs], trust: Sequence[Floats], start: Floats) -> Floats:
     """Weighted least squares over all pairs, by conjugate gradients with algebraic multigrid."""
+    require("pyamg", "scipy")
     import pyamg
     import scipy.sparse
     import scipy.sparse.linalg
@@ -227,6 +229,7 @@ def _solve(pairs: Sequence[_Pairs], trust: Sequence[Floats], start: Floats) -> F
 
 def _centre(height: Floats, inside: Bools) -> Floats:
     """Heights (P,) on the grid (H, W), the mean of every connected region 0."""
+    require("scipy")
     import scipy.ndimage
 
     canvas = np.zeros(inside.shape)

@@ -12,6 +12,7 @@ from torch import Tensor
 from ..core.checks import check_floating
 from ..core.errors import FileError, RangeError, ShapeError
 from ..core.files import atomic_path
+from ..core.optional import require
 from .camera import Camera
 
 MAX_FACES = 50_000_000
@@ -42,6 +43,7 @@ def load_mesh(path: str | os.PathLike[str]) -> tuple[Tensor, Tensor]:
         >>> vertices.shape, faces.tolist()
         (torch.Size([3, 3]), [[0, 1, 2]])
     """
+    require("trimesh")
     import trimesh
 
     file = Path(path)
@@ -80,6 +82,7 @@ def save_mesh(path: str | os.PathLike[str], vertices: Tensor, faces: Tensor, col
         FileError: unknown suffix, or the file cannot be written.
         ShapeError: other shapes.
     """
+    require("trimesh")
     import trimesh
 
     if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:

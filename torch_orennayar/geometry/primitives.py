@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from ..core.optional import require
+
 
 @dataclass(frozen=True)
 class Ball:
@@ -60,6 +62,7 @@ def bumpy_ball() -> tuple[Tensor, Tensor]:
         >>> vertices.shape, faces.shape
         (torch.Size([40962, 3]), torch.Size([81920, 3]))
     """
+    require("trimesh")
     import trimesh
 
     ball = trimesh.creation.icosphere(subdivisions=6)

@@ -11,6 +11,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from ..core.checks import check_mask
+from ..core.optional import require
 from ..geometry.camera import Camera
 
 DIRECT_SOLVE_PIXELS = 5000
@@ -70,6 +71,7 @@ def silhouette_normals(mask: Tensor) -> Tensor:
 
 def inflate(mask: Tensor) -> Tensor:
     """Corner heights (1, H + 1, W + 1) of the inflated silhouette of ``mask`` (1, H, W) float, in its dtype."""
+    require("pyamg", "scipy")
     import pyamg
     import scipy.sparse.linalg
 

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from ..core.checks import check_floating, check_unit
 from ..core.errors import CaptureError, RangeError, ShapeError
+from ..core.optional import require
 from ..geometry.primitives import Ball
 from . import robust_fit
 from .material import LightDirections, Material
@@ -61,6 +62,7 @@ def find_ball(mask: Tensor) -> Ball:
         >>> abs(ball.x - 20) < 0.6, abs(ball.radius - 10) < 0.6
         (True, True)
     """
+    require("cv2")
     import cv2
     import numpy as np
 
@@ -93,6 +95,7 @@ def find_circle(images: Tensor) -> Ball:
     Raises:
         CaptureError: no circle stands out.
     """
+    require("cv2")
     import cv2
     import numpy as np
 
@@ -147,6 +150,7 @@ def light_directions(images: Tensor, ball: Ball) -> Tensor:
         >>> [round(v, 3) for v in light_directions(picture, Ball(20.0, 20.0, 20.0))[0].tolist()]
         [0.866, 0.0, 0.5]
     """
+    require("cv2")
     import cv2
     import numpy as np
 

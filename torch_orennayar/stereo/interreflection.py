@@ -17,6 +17,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from ..core.findings import Finding
+from ..core.optional import require
 from ..geometry.integrate import integrate_normals
 from ..render.radiosity import arriving, form_factors
 from . import robust_fit
@@ -172,6 +173,7 @@ def _points(normal: Tensor, mask: Tensor) -> Tensor:
 
 def _parts(inside: Tensor, factor: int) -> Tensor:
     """Number of the connected part that every pixel of a smaller picture belongs to, (h, w)."""
+    require("scipy")
     from scipy.ndimage import label
 
     parts = torch.from_numpy(label(inside.cpu().numpy())[0]).to(inside.device)

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from ..core.errors import RangeError
+from ..core.optional import require
 from ..geometry.camera import Camera
 from ..geometry.mesh import normalise_mesh
 from ..render.normal_map import render_normals
@@ -88,6 +89,7 @@ def draw_mesh(draw: Draw, meshes: Sequence[Mesh] | None = None) -> Mesh:
 
 def _random_mesh(draw: Draw) -> Mesh:
     """A bumpy ball, a bumpy ring, or a heap of balls."""
+    require("trimesh")
     import trimesh
 
     kind = int(draw.uniform(1).item() * 3)
