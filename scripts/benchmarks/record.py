@@ -126,6 +126,11 @@ def load_sections(name: str, prefix: str, folder: Path = RESULTS) -> dict[str, S
     return found
 
 
+def sources(*sections: Section) -> str:
+    """`Section.source` of all sections, each different one once."""
+    return "\n\n".join(dict.fromkeys(section.source for section in sections))
+
+
 def describe_run(device: str = "cpu") -> dict[str, object]:
     """Commit, date, command, processor, threads and versions of this process."""
     return {
