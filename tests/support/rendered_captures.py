@@ -2,8 +2,8 @@
 
 Objects come with the package and trimesh. Materials are fitted to measurements (`python -m
 tests.support.rendered_captures measured_brdf.npz` prints them): a diffuse part, which is Lambert's, a V-cavity's or
-Lambert's under a glaze whose interface reflects light, and two GGX highlights. Except for Lambert without highlights and
-the V-cavity, none of these is a model that the solvers fit.
+Lambert's under a glaze whose interface reflects light, and two GGX highlights. Except for Lambert without highlights
+and the V-cavity, none of these is a model that the solvers fit.
 """
 
 from __future__ import annotations

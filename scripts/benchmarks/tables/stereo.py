@@ -220,6 +220,7 @@ def training_traffic() -> str:
     rows = [[name, *(short(row[k], 3) for k in keys)] for name, row in found["processes"].items()]
     sentence = (
         f"The gradient has {short(found['gradient kB'], 3)} kB; a step of {found['groups']} x "
-        f"{found['observations']:,} observations takes {short(found['seconds per step'])} s here. Traffic is calculated, not measured."
+        f"{found['observations']:,} observations takes {short(found['seconds per step'])} s here. "
+        "Traffic is calculated, not measured."
     )
     return f"{section.source}\n\n{table(['processes', *keys], rows)}\n\n{sentence}"
