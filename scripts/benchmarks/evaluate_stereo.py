@@ -272,7 +272,8 @@ def print_curves(title: str, curves: dict[str, dict[str, float]] | Curves) -> No
     """One line per curve."""
     print(title)
     for line, curve in curves.items():
-        print(f"  {line:36}" + "  ".join(f"{x}: {y:.2f}" for x, y in curve.items()))
+        points = ((x if isinstance(x, str) else f"{x:.3g}", y) for x, y in curve.items())
+        print(f"  {line:36}" + "  ".join(f"{x}: {y:.2f}" for x, y in points))
 
 
 ON_FIRST: dict[str, Callable[[Photographs, bool], Curves]] = {

@@ -159,7 +159,7 @@ def command_line() -> str:
 def simplify(value: object) -> object:
     """``value`` as JSON holds it: numbers to `DIGITS` digits, what is not finite as null, keys as strings."""
     if isinstance(value, Mapping):
-        return {str(key): simplify(each) for key, each in value.items()}
+        return {_key(key): simplify(each) for key, each in value.items()}
     if isinstance(value, (list, tuple)):
         return [simplify(each) for each in value]
     if isinstance(value, (float, np.floating)):
@@ -170,6 +170,10 @@ def simplify(value: object) -> object:
     if value is None or isinstance(value, (str, bool, int)):
         return value
     raise TypeError(f"a result of type {type(value).__name__} cannot be recorded")
+
+
+def _key(key: object) -> str:
+    return f"{key:.{DIGITS}g}" if isinstance(key, float) else str(key)
 
 
 def _git(*arguments: str) -> str | None:
