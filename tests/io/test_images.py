@@ -45,6 +45,7 @@ def test_alpha_is_dropped_and_float_is_kept(tmp_path: Path) -> None:
     assert (to_unit(read_image(tmp_path / "f.tiff")) == 2.5).all()
 
 
+@pytest.mark.filterwarnings("ignore:Corrupt EXIF data")  # from Pillow
 @pytest.mark.parametrize("suffix", [".png", ".jpg", ".tiff"])
 @pytest.mark.parametrize("share", [0.1, 0.5, 0.97])
 def test_truncated_files_are_refused(tmp_path: Path, suffix: str, share: float) -> None:
