@@ -13,27 +13,26 @@ CONSTRAINTS = ROOT / "scripts" / "constraints.txt"
 MINIMUM = (3, 10)
 
 
-def prepare(extra: str = "") -> Path:
-    """Install the project, with ``extra`` if given, unless that was done already; return its python."""
+def prepare(extra: str) -> Path:
+    """Install the project with ``extra``, ``all`` or ``test``, unless that was done already; return its python."""
     if sys.version_info < MINIMUM:
         sys.exit(f"Python {MINIMUM[0]}.{MINIMUM[1]} or newer is needed, this is {sys.version.split()[0]}")
     home = ROOT / ".venv"
     python = home / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
     wanted = hashlib.sha256((ROOT / "pyproject.toml").read_bytes() + CONSTRAINTS.read_bytes()).hexdigest()
-    stamps = [home / f".installed-{name}" for name in {extra or "base", "test"}]
+    stamps = [home / f".installed-{name}" for name in (extra, "test")]  # test includes all
     if python.exists() and any(s.exists() and s.read_text() == wanted for s in stamps):
         return python
     if not python.exists():
         print("making .venv", flush=True)
         subprocess.run([sys.executable, "-m", "venv", str(home)], check=True)
-    target = f"{ROOT}[{extra}]" if extra else str(ROOT)
     pip = [str(python), "-m", "pip", "--disable-pip-version-check", "install", "--quiet", "-c", str(CONSTRAINTS)]
     # torch first and by its exact version: a looser request may bring gigabytes for other devices.
     torch = next(line for line in CONSTRAINTS.read_text().splitlines() if line.startswith("torch=="))
     print("installing (a few minutes the first time)", flush=True)
     subprocess.run([*pip, torch], check=True)
-    subprocess.run([*pip, "--editable", target], check=True)
-    (home / f".installed-{extra or 'base'}").write_text(wanted)
+    subprocess.run([*pip, "--editable", f"{ROOT}[{extra}]"], check=True)
+    (home / f".installed-{extra}").write_text(wanted)
     return python
 
 

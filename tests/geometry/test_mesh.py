@@ -53,6 +53,7 @@ def test_colours_are_written(tmp_path: Path) -> None:
     assert trimesh.load_mesh(tmp_path / "c.ply").visual.vertex_colors[0].tolist() == [255, 0, 0, 255]
 
 
+@pytest.mark.filterwarnings("ignore:invalid value encountered in cast:RuntimeWarning")  # trimesh merges vertices
 @pytest.mark.parametrize(
     ("name", "content", "error"),
     [

@@ -8,6 +8,7 @@ and the V-cavity, none of these is a model that the solvers fit.
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 import sys
@@ -21,6 +22,7 @@ from torch import Tensor
 from torch_orennayar import (
     MODELS,
     Camera,
+    NormalMap,
     OrenNayar,
     cast_shadows,
     load_mesh,
@@ -134,16 +136,24 @@ def objects(folder: Path | None = None) -> dict[str, tuple[Tensor, Tensor]]:
     return {name: (normalise_mesh(vertices), faces) for name, (vertices, faces) in found.items()}
 
 
+@functools.lru_cache(maxsize=8)
+def lit_view(vertices: Tensor, faces: Tensor, lights: int, size: int) -> tuple[NormalMap, Tensor, Tensor]:
+    """A view of a mesh, directions to its lights, and how much of each reaches each pixel (K, 1, H, W).
+
+    Kept, because captures of one object in several materials share it and it takes longer than to shade them.
+    """
+    seen = render_normals(vertices, faces, Camera.orthographic(1.02), (size, size))
+    directions = spiral_lights(lights, math.radians(50))
+    return seen, directions, cast_shadows(vertices, faces, seen, directions)
+
+
 def capture(
     mesh: tuple[Tensor, Tensor], surface: Surface, *, lights: int = 48, size: int = 128, seed: int = 0
 ) -> Rendered:
     """Pictures of ``mesh`` with shading, cast shadows, a little light in the shadows, and noise."""
-    vertices, faces = mesh
-    seen = render_normals(vertices, faces, Camera.orthographic(1.02), (size, size))
-    directions = spiral_lights(lights, math.radians(50))
+    seen, directions, reached = lit_view(*mesh, lights, size)
     normal, mask = seen.normal[0], seen.mask[0]
     images = shade(surface, normal, directions)
-    reached = cast_shadows(vertices, faces, seen, directions)
     mean = images[:, :, mask[0]].mean()
     images = images * reached + BOUNCE * mean * (1 - reached * (images > 0))
     noise = torch.randn(images.shape, generator=torch.Generator().manual_seed(seed))
@@ -154,12 +164,11 @@ def capture(
 
 def hollow_capture(mesh: tuple[Tensor, Tensor], albedo: float, *, lights: int = 32, size: int = 128) -> Rendered:
     """Pictures of unknown exposure of a Lambertian ``mesh`` with interreflection, cast shadows and noise."""
-    vertices, faces = mesh
-    seen = render_normals(vertices, faces, Camera.orthographic(1.02), (size, size))
-    directions, inside = spiral_lights(lights, math.radians(50)), seen.mask[0, 0]
+    seen, directions, reached = lit_view(*mesh, lights, size)
+    inside = seen.mask[0, 0]
     surface = SeenSurface.of(seen)
     irradiance = (surface.normal @ directions.T).clamp_min(0)
-    irradiance = irradiance * cast_shadows(vertices, faces, seen, directions)[:, 0, inside].T
+    irradiance = irradiance * reached[:, 0, inside].T
     generator = torch.Generator().manual_seed(0)
     paint = torch.full((len(irradiance), 1), albedo)
     found = light_between(surface, paint, irradiance, generator)[:, 0]
