@@ -52,7 +52,9 @@ def _result(folder: Path, numbers: ResultNumbers, maps: ResultMaps) -> Section:
 
 
 def _choice(folder: Path, numbers: ResultNumbers) -> Section:
-    chosen = Material(numbers["model"], minnaert_exponent=numbers["falloff"], exponents=tuple(numbers["exponents"])).name
+    chosen = Material(
+        numbers["model"], minnaert_exponent=numbers["falloff"], exponents=tuple(numbers["exponents"])
+    ).name
     unit = "score, share of the mean"
     picture = save_bars(folder / "scores.png", numbers["scores"], unit=unit, highlight=chosen)
     text = (
