@@ -26,7 +26,6 @@ from .io.capture import Capture, load_capture, save_capture
 from .io.figures import save_maps, save_sheet, show_light, show_normals
 from .io.images import linear_to_srgb
 from .io.report import Section, write_report
-from .io.result_maps import unbatched
 from .io.result_numbers import FindingEntry, finding_entries
 from .reconstruction import Reconstruction
 from .render.normal_map import NormalMap, render_normals
@@ -134,13 +133,12 @@ def run_demo(folder: str | os.PathLike[str], *, size: int = 256, seed: int = 0) 
 def _numbers(found: Reconstruction, scene: Scene, seconds: float) -> DemoNumbers:
     mask = scene.surface.mask[0]
     albedo_error = (found.albedo - scene.albedo).abs()[:, mask[0]].mean() / scene.albedo[:, mask[0]].mean()
-    one = unbatched(found)
     return {
-        "model": one.model,
+        "model": found.model,
         "normal_error_degrees": angular_error(found.normal, scene.surface.normal[0], mask).summary(),
         "roughness_degrees": math.degrees(found.roughness.max().item()),
         "albedo_error_share": albedo_error.item(),
-        "scores": one.scores,
+        "scores": found.scores,
         "report": [str(entry) for entry in found.report],
         "findings": finding_entries(found.report),
         "seconds": seconds,

@@ -59,7 +59,7 @@ class Reconstruction:
     scores: dict[str, float]
     report: tuple[Finding, ...]
     specular: Tensor | None = None
-    exponents: tuple[float, ...] = ()
+    exponents: tuple[int, ...] = ()
     falloff: float = 1.0
     roughness_error: float = 0.0
     depth: Tensor | None = None
@@ -125,7 +125,7 @@ class BatchReconstruction(Reconstruction):
     # batches narrows it with isinstance.
     model: tuple[str, ...]  # type: ignore[assignment]
     scores: tuple[dict[str, float], ...]  # type: ignore[assignment]
-    exponents: tuple[tuple[float, ...], ...] = ()  # type: ignore[assignment]
+    exponents: tuple[tuple[int, ...], ...] = ()  # type: ignore[assignment]
     falloff: tuple[float, ...] = ()  # type: ignore[assignment]
     roughness_error: tuple[float, ...] = ()  # type: ignore[assignment]
 

@@ -56,7 +56,7 @@ def prepare() -> None:
         sys.path.insert(0, str(ROOT))
         from scripts.environment import prepare as environment
 
-        subprocess.run([environment(), HERE / "make_graphs.py", HERE / "graphs"], check=True)
+        subprocess.run([environment("all"), HERE / "make_graphs.py", HERE / "graphs"], check=True)
 
 
 def server(port: int) -> ThreadingHTTPServer:

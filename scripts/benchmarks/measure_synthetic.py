@@ -13,14 +13,14 @@ import argparse
 import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, TypeAlias
 
 import torch
 from torch import Tensor
 
 from scripts.benchmarks.record import ROOT, record
 from tests.support.example_code import load
-from torch_orennayar import SyntheticCaptures
+from torch_orennayar import SyntheticCaptures, SyntheticImages, SyntheticPixels
 from torch_orennayar.io.figures import save_sheet, show_light, show_normals
 from torch_orennayar.stereo.set_network import load_network
 from torch_orennayar.synthetic.pixels import Draw
@@ -28,6 +28,8 @@ from torch_orennayar.synthetic.scenes import SCENE_LIGHTS, draw_scene
 
 LINK = 12.5e9
 """Bytes a second of a link of 100 Gb/s."""
+
+Captures: TypeAlias = "SyntheticCaptures[SyntheticPixels] | SyntheticCaptures[SyntheticImages]"
 
 
 class Training(Protocol):
@@ -42,7 +44,7 @@ def observations(sample: Mapping[str, Tensor], kind: str) -> int:
     return sample["observed"].numel() if kind == "pixels" else int(sample["mask"].sum()) * len(sample["lights"])
 
 
-def speed(captures: SyntheticCaptures, seconds: float) -> dict[str, float]:
+def speed(captures: Captures, seconds: float) -> dict[str, float]:
     """Samples and millions of observations per second."""
     captures.sample(0)
     begun, count, seen = time.perf_counter(), 0, 0
@@ -120,7 +122,7 @@ def main() -> None:
     options = parser.parse_args()
     options.output.mkdir(parents=True, exist_ok=True)
     device = options.device
-    sources = {
+    sources: dict[str, Captures] = {
         "pixels": SyntheticCaptures("pixels", device=device),
         "images, 64 x 64": SyntheticCaptures("images", device=device),
         "images, 64 x 64, 4 lights": SyntheticCaptures("images", device=device, lights=(4, 4)),

@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from ..core.checks import UNIT_TOLERANCE
 from ..core.errors import FileError, RangeError
 from ..core.files import atomic_path
 from ..core.findings import Finding
@@ -21,8 +22,6 @@ LIGHT_FILES = (DIRECTIONS_FILE, "lights.txt")
 """Names of files of light directions; the first that exists is read."""
 INTENSITY_FILES = (INTENSITIES_FILE, "intensities.txt")
 """Names of files of light intensities; the first that exists is read."""
-LENGTH_TOLERANCE = 0.02
-"""Largest difference of a direction's length from 1, the tolerance of `core.checks.check_unit`; text files round."""
 
 
 def find_light_file(source: Path) -> Path:
@@ -97,7 +96,7 @@ def read_directions(file: Path) -> tuple[list[str], Tensor]:
         )
     directions = _numbers(file, [row[-3:] if names else row for row in rows], (3,))
     length = directions.norm(dim=1, keepdim=True)
-    for index in ((length - 1).abs() > LENGTH_TOLERANCE).flatten().nonzero().flatten().tolist():
+    for index in ((length - 1).abs() > UNIT_TOLERANCE).flatten().nonzero().flatten().tolist():
         raise RangeError(
             f"{file} entry {index + 1}",
             expected="a unit vector",

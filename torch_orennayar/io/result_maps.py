@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -14,7 +13,7 @@ from ..core.errors import ShapeError
 from ..geometry.integrate import integrate_normals
 from ..geometry.mesh import depth_to_mesh, save_mesh
 from ..geometry.metrics import AngularError, angular_error
-from ..reconstruction import Reconstruction
+from ..reconstruction import BatchReconstruction, Reconstruction
 from .capture import Capture
 from .figures import save_maps
 from .images import linear_to_srgb
@@ -23,27 +22,6 @@ MAX_DEPTH_PIXELS = 4_000_000
 """Pixels of the object above which depth and mesh are made at a fraction of the resolution; set by hand, for memory."""
 EXACT_QUANTILE_PIXELS = 10_000_000
 """Pixels from which the display albedo is scaled by the maximum: `torch.quantile` takes at most 16 million values."""
-
-
-class UnbatchedNumbers(NamedTuple):
-    """The numbers of a `Reconstruction` of one capture; see there."""
-
-    model: str
-    scores: dict[str, float]
-    falloff: float
-    roughness_error: float
-
-
-def unbatched(found: Reconstruction) -> UnbatchedNumbers:
-    """The numbers of ``found``.
-
-    Raises:
-        ShapeError: ``found`` is a batch.
-    """
-    model, scores, falloff, error = found.model, found.scores, found.falloff, found.roughness_error
-    if isinstance(model, tuple) or isinstance(scores, tuple) or isinstance(falloff, tuple) or isinstance(error, tuple):
-        raise ShapeError("found", expected="one capture", got="a batch", mend="write the results of a batch one by one")
-    return UnbatchedNumbers(model, scores, falloff, error)
 
 
 @dataclass(frozen=True)
@@ -80,7 +58,9 @@ class ResultMaps:
         Raises:
             ShapeError: ``found`` is a batch.
         """
-        unbatched(found)
+        if isinstance(found, BatchReconstruction):
+            mend = "write the results of a batch one by one"
+            raise ShapeError("found", expected="one capture", got="a batch", mend=mend)
         mask, normal = capture.mask.cpu(), found.normal.cpu()
         depth, step = (found.depth.cpu(), 1) if found.depth is not None else _integrate(normal, mask)
         display_albedo, top = _scale_for_display(found.albedo.cpu(), mask)

@@ -11,7 +11,7 @@ import numpy as np
 from ..core.findings import Finding
 from ..reconstruction import Reconstruction
 from .capture import Capture
-from .result_maps import ResultMaps, unbatched
+from .result_maps import ResultMaps
 
 
 class FindingEntry(TypedDict):
@@ -52,24 +52,20 @@ class ResultNumbers(TypedDict):
 def result_numbers(
     found: Reconstruction, capture: Capture, maps: ResultMaps, *, title: str, seconds: float | None
 ) -> ResultNumbers:
-    """The numbers of one result.
-
-    Raises:
-        ShapeError: ``found`` is a batch.
-    """
-    model, scores, falloff, error = unbatched(found)
+    """The numbers of one result."""
+    error = found.roughness_error
     inside = np.degrees(maps.roughness[maps.mask].numpy())
     report = (*capture.notes, *found.report)
     return {
         "title": title,
         "images": len(capture.lights),
         "pixels": int(maps.mask.sum()),
-        "model": model,
-        "scores": scores,
+        "model": found.model,
+        "scores": found.scores,
         "roughness_degrees": math.degrees(maps.roughness.max().item()),
         "roughness_range_degrees": np.percentile(inside, (5, 95)).round(2).tolist(),
         "roughness_error_degrees": math.degrees(error) if math.isfinite(error) else None,  # JSON has no infinity
-        "falloff": falloff,
+        "falloff": found.falloff,
         "exponents": list(found.exponents),
         "depth_step": maps.step,
         "normal_error_degrees": None if maps.error is None else maps.error.summary(),
