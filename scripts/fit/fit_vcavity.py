@@ -141,14 +141,17 @@ def report(shape: list[float], linear: list[float]) -> None:
 
 
 def write(shape: list[float], linear: list[float]) -> None:
-    """The module that `reflectance` imports."""
+    """Write ``torch_orennayar/reflectance/coefficients.py``."""
 
     def lines(values: list[float]) -> str:
         return "\n".join(f"    {v:g}," for v in values)
 
     TARGET.write_text(
-        '"""Written by scripts/fit/fit_vcavity.py; do not edit."""\n\n'
-        f"VCAVITY_SHAPE = (\n{lines(shape)}\n)\n\nVCAVITY_LINEAR = (\n{lines(linear)}\n)\n",
+        '"""Coefficients of `formulas.vcavity_form`, written by scripts/fit/fit_vcavity.py; do not edit."""\n\n'
+        f"VCAVITY_SHAPE = (\n{lines(shape)}\n)\n"
+        '"""c, beta, k0, k1, k2, kappa and turn: found by a simplex search; without unit."""\n\n'
+        f"VCAVITY_LINEAR = (\n{lines(linear)}\n)\n"
+        '"""a (14 values), g (5) and d (5): found by weighted least squares; without unit."""\n',
         encoding="utf-8",
     )
 
