@@ -11,12 +11,11 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Protocol, TypeAlias
 
 import torch
-from torch import Tensor
 
 from scripts.benchmarks.record import ROOT, record
 from tests.support.example_code import load
@@ -39,9 +38,9 @@ class Training(Protocol):
         """One step of training."""
 
 
-def observations(sample: Mapping[str, Tensor], kind: str) -> int:
+def observations(sample: SyntheticPixels | SyntheticImages) -> int:
     """Pixels times lights of one sample."""
-    return sample["observed"].numel() if kind == "pixels" else int(sample["mask"].sum()) * len(sample["lights"])
+    return sample["observed"].numel() if "observed" in sample else int(sample["mask"].sum()) * len(sample["lights"])
 
 
 def speed(captures: Captures, seconds: float) -> dict[str, float]:
@@ -49,7 +48,7 @@ def speed(captures: Captures, seconds: float) -> dict[str, float]:
     captures.sample(0)
     begun, count, seen = time.perf_counter(), 0, 0
     while time.perf_counter() - begun < seconds:
-        seen += observations(captures.sample(count), captures.kind)
+        seen += observations(captures.sample(count))
         count += 1
     spent = time.perf_counter() - begun
     return {"samples per second": count / spent, "million observations per second": seen / spent / 1e6}

@@ -39,6 +39,7 @@ def recovering(capture: ton.Capture) -> None:
 
 def learning() -> None:
     """Samples of the synthetic captures are typed by key."""
-    sample = ton.SyntheticCaptures("pixels")[0]
-    assert_type(sample["images"], Tensor)
-    assert_type(sample["lights"], Tensor)
+    images = ton.SyntheticCaptures("images").sample(0)
+    assert_type(images["images"], Tensor)
+    pixels = ton.SyntheticCaptures("pixels").sample(0)
+    assert_type(pixels["observed"], Tensor)
