@@ -40,7 +40,9 @@ class Training(Protocol):
 
 def observations(sample: SyntheticPixels | SyntheticImages) -> int:
     """Pixels times lights of one sample."""
-    return sample["observed"].numel() if "observed" in sample else int(sample["mask"].sum()) * len(sample["lights"])
+    if "observed" in sample:
+        return sample["observed"].numel()
+    return int(sample["mask"].sum()) * len(sample["lights"])
 
 
 def speed(captures: Captures, seconds: float) -> dict[str, float]:

@@ -11,6 +11,7 @@ from torch import Tensor
 from tests.support import rendered_captures
 from tests.support.objects import Scene
 from torch_orennayar import (
+    BatchReconstruction,
     CaptureError,
     Finding,
     ModelError,
@@ -144,6 +145,7 @@ def test_bands_leave_no_seam(
 def test_batch_is_one_after_the_other(rough: Scene, smooth: Scene, solved: dict[str, Reconstruction]) -> None:
     images, lights = torch.stack((rough.images, smooth.images)), torch.stack((rough.lights, smooth.lights))
     both = photometric_stereo(images, lights, torch.stack((rough.mask, smooth.mask)))
+    assert isinstance(both, BatchReconstruction)
     assert both.model == ("vcavity", "lambert")
     assert both.normal.shape == (2, 3, 64, 64)
     assert both.albedo.shape == (2, 3, 64, 64)
@@ -394,6 +396,7 @@ def test_lobes_of_a_batch_are_padded(smooth: Scene, meshes: dict[str, tuple[Tens
     both = photometric_stereo(
         images, torch.stack((smooth.lights, shiny.lights)), torch.stack((smooth.mask, shiny.mask))
     )
+    assert isinstance(both, BatchReconstruction)
     assert both.exponents[0] == ()
     assert both.specular is not None
     assert (both.specular[0] == 0).all()
