@@ -11,9 +11,9 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Protocol, TypeAlias
+from typing import Protocol, TypeAlias, cast
 
 import torch
 
@@ -40,9 +40,8 @@ class Training(Protocol):
 
 def observations(sample: SyntheticPixels | SyntheticImages) -> int:
     """Pixels times lights of one sample."""
-    if "observed" in sample:
-        return sample["observed"].numel()
-    return int(sample["mask"].sum()) * len(sample["lights"])
+    tensors = cast("Mapping[str, Tensor]", sample)
+    return tensors["observed"].numel() if "observed" in tensors else int(tensors["mask"].sum()) * len(tensors["lights"])
 
 
 def speed(captures: Captures, seconds: float) -> dict[str, float]:
