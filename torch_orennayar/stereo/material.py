@@ -23,7 +23,7 @@ class Material:
         model: a name in ``MODELS``.
         roughness: radians, for models that have one.
         minnaert_exponent: k >= 1 of Minnaert's law: the diffuse part times ``(n.l n.v)**(k - 1)``. Above 1 the surface
-            darkens toward grazing light, as under glaze or varnish, whose interface turns light away there. For
+            darkens toward grazing light, as under glaze or varnish, whose interface reflects light there. For
             ``lambert``; 1 is Lambert itself.
         exponents: of Blinn's lobes, powers of two.
         roughness_varies: roughness differs over the object; `roughness_map.LEVELS` stand for it, not ``roughness``.

@@ -22,12 +22,12 @@ NETWORK = "network"
 """The name of this solver among the models of `photometric_stereo`."""
 TRAINED_LIGHTS = 12
 """Least number of lights of a pixel in the training of ``examples/train_photometric_stereo.py``."""
-SUREST = 1e-3
+LEAST_ERROR = 1e-3
 """Radians, the least error of a normal in the weights of the smoothing. Set by hand."""
 REACH, SPREAD = 2, 1.3
 """Pixels up to which normals are smoothed, and the standard deviation of the weights over them. Compared by mean error
 on rendered captures (3.85 to 3.53 degrees); the script is not kept."""
-UNLIKE, TRUST = 3.0, 0.7
+EDGE, ERROR_POWER = 3.0, 0.7
 """Standard errors by which neighbours may differ, and the power of the error that divides their weight. They would be 1
 and 2 if the network's errors were exact; chosen on 220 rendered captures, on which it errs by more than it expects; the
 script is not kept."""
@@ -72,14 +72,14 @@ class Smooth(nn.Module):
     def forward(self, normal_map: Tensor, error_map: Tensor) -> Tensor:
         """Of normals (3, H, W), 0 outside the mask, and errors (1, H, W), radians: normals (3, H, W)."""
         both, side = torch.cat((normal_map, error_map))[None], 2 * REACH + 1
-        variance = error_map.clamp_min(SUREST).square()
+        variance = error_map.clamp_min(LEAST_ERROR).square()
         total = torch.zeros_like(normal_map)
         for place, shift in enumerate(torch.eye(side * side).reshape(-1, 1, 1, side, side)):
             there = F.conv2d(both, shift.to(both).expand(4, 1, side, side), padding=REACH, groups=4)[0]
-            normal, error = there[:3], there[3:].clamp_min(SUREST)
+            normal, error = there[:3], there[3:].clamp_min(LEAST_ERROR)
             difference = (normal - normal_map).square().sum(0, keepdim=True) / (variance + error.square())
             distance = ((place // side - REACH) ** 2 + (place % side - REACH) ** 2) / SPREAD**2
-            total = total + normal * (torch.exp(-0.5 * (difference / UNLIKE**2 + distance)) / error**TRUST)
+            total = total + normal * (torch.exp(-0.5 * (difference / EDGE**2 + distance)) / error**ERROR_POWER)
         return F.normalize(total, dim=0)
 
 

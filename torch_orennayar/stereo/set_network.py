@@ -37,16 +37,20 @@ class Tokens(NamedTuple):
     Attributes:
         values: (P, K, 12).
         start: (P, 3), the robust Lambertian normal, rotated so that its y is 0.
-        turn: (P, 2), cosine and sine of its azimuth before that.
+        azimuth: (P, 2), cosine and sine of its azimuth before that.
     """
 
     values: Tensor
     start: Tensor
-    turn: Tensor
+    azimuth: Tensor
 
 
 class SetNetwork(nn.Module):
-    """Normals and their expected errors from pixels under sets of lights; invariant to the order of the lights."""
+    """Normals and their expected errors from pixels under sets of lights; invariant to the order of the lights.
+
+    The layers' names are those in files of weights: ``mend`` outputs the correction of the robust Lambertian normal,
+    ``doubt`` the logarithm of the expected error; `_Block` has its own in its docstring.
+    """
 
     def __init__(self, width: int = 64, blocks: int = 4, heads: int = 4) -> None:
         super().__init__()
@@ -88,11 +92,13 @@ class SetNetwork(nn.Module):
         pooled = self.norm(torch.cat(((parts * share[..., None]).sum(1).flatten(1), x.amax(1)), 1))
         normal = F.normalize(tokens.start + self.mend(self.head(pooled)), dim=1)
         error = self.doubt(pooled.detach()).clamp(-8, 1).exp()
-        return _rotated_back(normal, tokens.turn), error
+        return _rotated_back(normal, tokens.azimuth), error
 
 
 class _Block(nn.Module):
     """A residual block: every token receives the mean and the maximum over all tokens, then passes through an MLP.
+
+    ``tell`` makes what is pooled, ``hear`` reads the pooled values, ``think`` is the MLP.
 
     Only the pooled values are normalised: normalising every token would cost as much as its matrix products.
     """
@@ -136,8 +142,8 @@ def make_tokens(observed: Tensor, lights: Tensor) -> Tokens:
     normal = camera_facing(vector)
     flat = normal[:, :2].norm(dim=1, keepdim=True)
     right = normal.new_tensor((1.0, 0.0)).expand(normal.shape[0], 2)
-    turn = torch.where(flat > 1e-6, normal[:, :2] / flat.clamp_min(1e-6), right)
-    c, s = turn[:, :1], turn[:, 1:]
+    azimuth = torch.where(flat > 1e-6, normal[:, :2] / flat.clamp_min(1e-6), right)
+    c, s = azimuth[:, :1], azimuth[:, 1:]
     x, y, z = lights.unbind(2)
     turned = torch.stack((c * x + s * y, c * y - s * x, z), 2)
     start = torch.cat((flat, torch.zeros_like(flat), normal[:, 2:]), 1)
@@ -155,7 +161,7 @@ def make_tokens(observed: Tensor, lights: Tensor) -> Tokens:
         start[:, :1].expand_as(ci),
         start[:, 2:].expand_as(ci),
     )
-    return Tokens(torch.stack(values, 2), start, turn)
+    return Tokens(torch.stack(values, 2), start, azimuth)
 
 
 def _ranks(observed: Tensor) -> Tensor:
@@ -192,9 +198,9 @@ def _least_squares(ratio: Tensor, lights: Tensor, weight: Tensor) -> Tensor:
     return torch.stack(solve_symmetric(rows, list(right.unbind(1))), 1)
 
 
-def _rotated_back(normal: Tensor, turn: Tensor) -> Tensor:
-    """Normals rotated about the viewing axis by the azimuth whose cosine and sine are ``turn``, (P, 3)."""
-    c, s = turn[:, :1], turn[:, 1:]
+def _rotated_back(normal: Tensor, azimuth: Tensor) -> Tensor:
+    """Normals rotated about the viewing axis by the azimuth whose cosine and sine are ``azimuth``, (P, 3)."""
+    c, s = azimuth[:, :1], azimuth[:, 1:]
     x, y, z = normal.split(1, dim=1)
     return torch.cat((c * x - s * y, s * x + c * y, z), 1)
 
