@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Protocol, TypeAlias, cast
 
 import torch
+from torch import Tensor
 
 from scripts.benchmarks.record import ROOT, record
 from tests.support.example_code import load
