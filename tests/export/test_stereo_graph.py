@@ -57,7 +57,7 @@ def test_three_lights_are_enough_for_lambert(graph: Path) -> None:
     lit = mask & (images > 0.02).all(0)
     found = run_graph(graph, images=images, lights=lights, mask=mask)
     error = angular_error(found["normal"], normal, lit).summary()
-    assert error["p90"] < 0.01  # the rest is taken for shadow by one light, and two do not tell a normal
+    assert error["p90"] < 0.01  # elsewhere one light is taken for shadow, and two do not determine a normal
     assert error["mean"] < 2
 
 

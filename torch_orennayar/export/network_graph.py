@@ -22,10 +22,10 @@ def network_task() -> ExportTask:
     """`solve_network` with the weights that ship."""
     metadata = CAPTURE_METADATA | {
         "model": NETWORK,
-        "roughness": "always 0: the network tells none",
-        "error": "what the network expects its normal to err by, radians",
-        "method": "a set network trained on made-up pixels, 12 to 100 lights; albedo is Lambert's; light between parts "
-        "of the surface is not taken away",
+        "roughness": "always 0: the network does not estimate it",
+        "error": "error of the normal that the network expects, radians",
+        "method": "a set network trained on synthetic pixels under 12 to 100 lights; albedo by Lambert's law; "
+        "interreflections are not removed",
     }
 
     def solve(images: Tensor, lights: Tensor, mask: Tensor) -> tuple[Tensor, ...]:
