@@ -6,20 +6,21 @@ python examples/fit_silhouette.py picture.png
 import sys
 
 import torch
+import trimesh
+from PIL import Image
 
 import torch_orennayar as ton
-from torch_orennayar.geometry.primitives import bumpy_ball
-from torch_orennayar.io.figures import save_sheet
 
 SIZE = (96, 96)
 CAMERA = ton.Camera.perspective(0.8, eye=(0.0, 0.0, 3.2))
 
 
 def main(picture: str) -> tuple[list[float], float, list[float]]:
-    """Draw start, target and end; returns place, size (truth 0.3, -0.2, 1.5) and losses."""
-    vertices, faces = bumpy_ball()
-    vertices = vertices * 0.5
-    neighbours = ton.face_neighbours(faces)  # once: the faces stay the same
+    """Return place and size (the truth is 0.3, -0.2 and 1.5) and the losses; draw start, target and result."""
+    ball = trimesh.creation.icosphere(subdivisions=5)
+    vertices = torch.tensor(ball.vertices, dtype=torch.float32) * torch.tensor([0.5, 0.35, 0.4])  # an ellipsoid
+    faces = torch.tensor(ball.faces)
+    neighbours = ton.face_neighbours(faces)  # once, since the faces stay the same
 
     def silhouette(place: torch.Tensor, size: torch.Tensor) -> torch.Tensor:
         moved = vertices * size + torch.cat((place, place.new_zeros(1)))
@@ -37,8 +38,8 @@ def main(picture: str) -> tuple[list[float], float, list[float]]:
         loss.backward()
         optimiser.step()
         losses.append(loss.item())
-    shown = {"start": start, "target": target, "found": silhouette(place, size).detach()}
-    save_sheet(picture, [{name: 1 - mask[0].expand(3, -1, -1) for name, mask in shown.items()}])
+    shown = torch.cat((start, target, silhouette(place, size).detach()), dim=3)[0, 0]  # side by side
+    Image.fromarray((255 * shown).round().byte().numpy()).convert("RGB").save(picture)
     return place.tolist(), size.item(), losses
 
 

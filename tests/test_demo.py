@@ -9,7 +9,7 @@ import torch
 
 from torch_orennayar import load_capture, load_mesh
 from torch_orennayar.demo import make_scene, run_demo
-from torch_orennayar.export.api import describe_onnx
+from torch_orennayar.export.describe import describe_onnx
 
 
 @pytest.fixture(scope="module")

@@ -1,42 +1,109 @@
+"""The documentation: code blocks run in order, and commands, options, files and links exist."""
+
 from __future__ import annotations
 
 import re
 import shutil
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
+import typer.main
 
 from torch_orennayar import save_mesh
 from torch_orennayar.cli import app
 from torch_orennayar.geometry.primitives import bumpy_ball
 
 ROOT = Path(__file__).parent.parent
+GUIDES = sorted((ROOT / "examples" / "guides").glob("*.md"))
+DOCUMENTS = [ROOT / "README.md", ROOT / "scripts" / "benchmarks" / "README.md", *GUIDES]
+WRITTEN_IN_ISSUE_22 = (".github/CONTRIBUTING.md", ".github/CHANGELOG.md", ".github/SECURITY.md")
+
+Names = dict[str, Any]
 
 
+def blocks(document: Path, language: str) -> list[str]:
+    text = document.read_text(encoding="utf-8")
+    return re.findall(rf"```{language}\n(.*?)```", text, re.DOTALL)
+
+
+def check_readme(names: Names, printed: str) -> None:
+    assert tuple(names["images"].shape) == (2, 7, 1, 64, 64)
+    assert tuple(names["pictures"].shape) == (1, 12, 1, 256, 256)
+    assert names["sigma"].grad.isfinite()
+    assert tuple(names["sample"]["images"].shape) == (4, 3, 64, 64)
+    assert printed.startswith("vcavity 1.0 ()")
+
+
+def check_shading(names: Names, printed: str) -> None:
+    assert names["choice"] == "fujii"
+    assert tuple(names["images"].shape) == (2, 2, 3, 32, 32)
+    assert names["near"].isfinite().all()
+
+
+def check_stereo(names: Names, printed: str) -> None:
+    assert printed.startswith("vcavity 1.0 () {'lambert'")
+    assert tuple(names["relit"].shape[2:]) == tuple(names["capture"].mask.shape[1:])
+
+
+def check_errors(names: Names, printed: str) -> None:
+    assert printed.startswith("RangeError")
+
+
+CHECKS: dict[str, Callable[[Names, str], None]] = {
+    "README.md": check_readme,
+    "shading.md": check_shading,
+    "photometric-stereo.md": check_stereo,
+    "conventions-and-errors.md": check_errors,
+}
+
+
+@pytest.mark.parametrize("document", [ROOT / "README.md", *GUIDES], ids=lambda path: path.name)
 def test_python_blocks_run_in_order(
-    tmp_path: Path, capture_folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    document: Path,
+    tmp_path: Path,
+    capture_folder: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     save_mesh(tmp_path / "mesh.obj", *bumpy_ball())
     shutil.copytree(capture_folder, tmp_path / "photographs")
     monkeypatch.chdir(tmp_path)
-    blocks = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.DOTALL)
-    names: dict[str, object] = {}
-    for block in blocks:
+    names: Names = {}
+    for block in blocks(document, "python"):
         exec(block, names)
-    assert len(blocks) == 6
-    assert names["choice"] == "fujii"
-    assert tuple(names["images"].shape) == (2, 7, 1, 64, 64)  # type: ignore[attr-defined]
-    assert tuple(names["pictures"].shape) == (1, 12, 1, 512, 512)  # type: ignore[attr-defined]
-    assert names["sigma"].grad.isfinite()  # type: ignore[attr-defined]
-    assert capsys.readouterr().out.startswith("vcavity 1.0 () {'lambert'")
+    assert names, "a guide without code"
+    if document.name in CHECKS:
+        CHECKS[document.name](names, capsys.readouterr().out)
 
 
-def test_commands_and_files_exist() -> None:
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
-    commands = {command.name or command.callback.__name__ for command in app.registered_commands if command.callback}
-    assert set(re.findall(r"^orennayar (\w+)|`orennayar (\w+)", text, re.MULTILINE)) <= {
-        *((c, "") for c in commands),
-        *(("", c) for c in commands),
-    }
-    for place in re.findall(r"\((\.github/[^)]+)\)|`((?:scripts|tests|examples)/[\w./]*)`", text):
-        assert (ROOT / "".join(place)).exists()
+def test_readme_is_short() -> None:
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 150
+    assert all(block.count("\n") <= 10 for block in blocks(ROOT / "README.md", "python"))
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT)))
+def test_commands_and_options_exist(document: Path) -> None:
+    group = typer.main.get_command(app)
+    commands: dict[str, Any] = group.commands  # type: ignore[attr-defined]
+    shell = "\n".join(blocks(document, "sh"))
+    for name, rest in re.findall(r"^orennayar (\w+)([^#\n]*)", shell, re.MULTILINE):
+        known = {option for parameter in commands[name].params for option in parameter.opts}
+        assert {word.partition("=")[0] for word in re.findall(r"(?<=\s)--?[a-z][\w-]*", rest)} <= known, name
+    for name in re.findall(r"`orennayar (\w+)", document.read_text(encoding="utf-8")):
+        assert name in commands
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT)))
+def test_files_and_links_exist(document: Path) -> None:
+    text = document.read_text(encoding="utf-8")
+    for place in re.findall(r"\]\((?!https?://)([^)#]*)(?:#[^)]*)?\)", text):
+        target = (document.parent / place).resolve()
+        known = str(target.relative_to(ROOT.resolve())) in WRITTEN_IN_ISSUE_22 or target.exists()
+        assert known, place
+    for place in re.findall(r"`((?:scripts|tests|examples|torch_orennayar)/[\w./]*)`", text):
+        assert (ROOT / place).exists(), place
+    for place, anchor in re.findall(r"\]\((?!https?://)([^)#]*)#([^)]*)\)", text):
+        headings = re.findall(r"^#+ (.*)$", (document.parent / place).read_text(encoding="utf-8"), re.MULTILINE)
+        assert anchor in {re.sub(r"[^\w -]", "", h.lower()).replace(" ", "-") for h in headings}

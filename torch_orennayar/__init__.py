@@ -23,26 +23,33 @@ if TYPE_CHECKING:  # what type checkers and editors read; at run time `__getattr
     )
     from .core.findings import Finding
     from .export.api import export_onnx
-    from .geometry.camera import Camera, swap_opencv_frame
+    from .geometry.camera import Camera
     from .geometry.depth import depth_to_normals
+    from .geometry.frames import swap_opencv_frame
     from .geometry.integrate import integrate_normals
-    from .geometry.mesh import load_mesh, save_mesh, vertex_normals
+    from .geometry.mesh import load_mesh, normalise_mesh, save_mesh, vertex_normals
     from .geometry.metrics import AngularError, angular_error
     from .io.capture import Capture, load_capture
     from .io.images import decode_normals, encode_normals, linear_to_srgb, srgb_to_linear
-    from .reconstruction import Reconstruction
+    from .reconstruction import BatchReconstruction, Reconstruction
     from .reflectance.model_choice import ModelChoice, simplest_model
-    from .reflectance.models import MODELS, Model, register_model, roughness_from_slope, slope_from_roughness
+    from .reflectance.models import MODELS, Model, register_model
+    from .reflectance.roughness import roughness_from_slope, slope_from_roughness
     from .reflectance.specular import blinn_phong, microfacet, phong
     from .render.antialias import antialias, face_neighbours
     from .render.normal_map import NormalMap, render_normals
     from .render.shadow import cast_shadows
-    from .shading.layer import OrenNayar, brdf, directional_albedo, oren_nayar, point_light
+    from .shading.functional import brdf, directional_albedo, oren_nayar
+    from .shading.layer import OrenNayar
+    from .shading.point_light import point_light
+    from .shape.height_field import silhouette_normals
     from .shape.solver import shape_from_shading
     from .stereo.near_light import near_light_stereo
+    from .stereo.set_network import SetNetwork, load_network, make_tokens, save_network
     from .stereo.solver import photometric_stereo
     from .synthetic.captures import SyntheticCaptures
-    from .synthetic.pixels import Ingredients
+    from .synthetic.images import SyntheticImages
+    from .synthetic.pixels import Ingredients, SyntheticPixels
 
 _HOMES = {
     "core.errors": (
@@ -56,14 +63,13 @@ _HOMES = {
     ),
     "core.findings": ("Finding",),
     "export.api": ("export_onnx",),
-    "geometry.camera": (
-        "Camera",
-        "swap_opencv_frame",
-    ),
+    "geometry.camera": ("Camera",),
     "geometry.depth": ("depth_to_normals",),
+    "geometry.frames": ("swap_opencv_frame",),
     "geometry.integrate": ("integrate_normals",),
     "geometry.mesh": (
         "load_mesh",
+        "normalise_mesh",
         "save_mesh",
         "vertex_normals",
     ),
@@ -81,7 +87,10 @@ _HOMES = {
         "linear_to_srgb",
         "srgb_to_linear",
     ),
-    "reconstruction": ("Reconstruction",),
+    "reconstruction": (
+        "BatchReconstruction",
+        "Reconstruction",
+    ),
     "reflectance.model_choice": (
         "ModelChoice",
         "simplest_model",
@@ -90,6 +99,8 @@ _HOMES = {
         "MODELS",
         "Model",
         "register_model",
+    ),
+    "reflectance.roughness": (
         "roughness_from_slope",
         "slope_from_roughness",
     ),
@@ -107,18 +118,29 @@ _HOMES = {
         "render_normals",
     ),
     "render.shadow": ("cast_shadows",),
-    "shading.layer": (
-        "OrenNayar",
+    "shading.functional": (
         "brdf",
         "directional_albedo",
         "oren_nayar",
-        "point_light",
     ),
+    "shading.layer": ("OrenNayar",),
+    "shading.point_light": ("point_light",),
+    "shape.height_field": ("silhouette_normals",),
     "shape.solver": ("shape_from_shading",),
     "stereo.near_light": ("near_light_stereo",),
+    "stereo.set_network": (
+        "SetNetwork",
+        "load_network",
+        "make_tokens",
+        "save_network",
+    ),
     "stereo.solver": ("photometric_stereo",),
     "synthetic.captures": ("SyntheticCaptures",),
-    "synthetic.pixels": ("Ingredients",),
+    "synthetic.images": ("SyntheticImages",),
+    "synthetic.pixels": (
+        "Ingredients",
+        "SyntheticPixels",
+    ),
 }
 """The module that defines each public name."""
 _MODULE_OF = {name: module for module, names in _HOMES.items() for name in names}
@@ -126,6 +148,7 @@ _MODULE_OF = {name: module for module, names in _HOMES.items() for name in names
 __all__ = [
     "MODELS",
     "AngularError",
+    "BatchReconstruction",
     "Camera",
     "Capture",
     "CaptureError",
@@ -140,8 +163,11 @@ __all__ = [
     "OrenNayar",
     "RangeError",
     "Reconstruction",
+    "SetNetwork",
     "ShapeError",
     "SyntheticCaptures",
+    "SyntheticImages",
+    "SyntheticPixels",
     "TorchOrenNayarError",
     "__version__",
     "angular_error",
@@ -159,8 +185,11 @@ __all__ = [
     "linear_to_srgb",
     "load_capture",
     "load_mesh",
+    "load_network",
+    "make_tokens",
     "microfacet",
     "near_light_stereo",
+    "normalise_mesh",
     "oren_nayar",
     "phong",
     "photometric_stereo",
@@ -169,7 +198,9 @@ __all__ = [
     "render_normals",
     "roughness_from_slope",
     "save_mesh",
+    "save_network",
     "shape_from_shading",
+    "silhouette_normals",
     "simplest_model",
     "slope_from_roughness",
     "srgb_to_linear",

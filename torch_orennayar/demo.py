@@ -8,12 +8,13 @@ import os
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TypedDict
 
 import torch
 from torch import Tensor
 
 from .core.files import atomic_directory
+from .core.optional import PACKAGES, require
 from .core.progress import say
 from .export.api import export_onnx
 from .geometry.camera import Camera
@@ -25,26 +26,52 @@ from .io.capture import Capture, load_capture, save_capture
 from .io.figures import save_maps, save_sheet, show_light, show_normals
 from .io.images import linear_to_srgb
 from .io.report import Section, write_report
+from .io.result_numbers import FindingEntry, finding_entries
 from .reconstruction import Reconstruction
 from .render.normal_map import NormalMap, render_normals
 from .shading.layer import OrenNayar
 from .stereo.solver import photometric_stereo
 
 ROUGHNESS = math.radians(30)
+"""Of the demo's object, radians; set by hand: where Lambert's law is clearly wrong."""
 NOISE = 0.01
+"""Standard deviation of the noise in the demo's photographs, of a white surface facing the light; set by hand."""
 LIGHTS = 24
+"""Photographs of the demo; set by hand, a quarter of DiLiGenT's 96 (Shi et al. 2016)."""
 SWEEP_DEGREES = (0, 20, 35, 45, 70, 85)
+"""Roughnesses that the demo draws side by side, degrees; set by hand."""
 METHODS = ("lambert", "qualitative", "vcavity")
+"""Models that the demo compares, beside the automatic choice."""
 
 
 @dataclass(frozen=True)
 class Scene:
-    """The demo's object and the photographs of it, with the truth."""
+    """The demo's object and the photographs of it, with the truth.
+
+    Attributes:
+        surface: the rendered view of the object.
+        albedo: (3, H, W) linear.
+        lights: (K, 3) unit directions to the lights.
+        images: (K, 3, H, W) linear light, with noise.
+    """
 
     surface: NormalMap
     albedo: Tensor
     lights: Tensor
     images: Tensor
+
+
+class DemoNumbers(TypedDict):
+    """What the demo's ``result.json`` holds of one method."""
+
+    model: str
+    normal_error_degrees: dict[str, float]
+    roughness_degrees: float
+    albedo_error_share: float
+    scores: dict[str, float]
+    report: list[str]
+    findings: list[FindingEntry]
+    seconds: float
 
 
 def make_scene(size: int, seed: int) -> Scene:
@@ -62,36 +89,38 @@ def make_scene(size: int, seed: int) -> Scene:
     return Scene(surface, albedo[0], lights, (images + noise * surface.mask[0]).clamp_min(0))
 
 
-def run_demo(folder: str | os.PathLike[str], *, size: int = 256, seed: int = 0) -> dict[str, Any]:
+def run_demo(folder: str | os.PathLike[str], *, size: int = 256, seed: int = 0) -> dict[str, DemoNumbers]:
     """Run the demo and write its folder: pictures, capture, results, mesh, ONNX file, report.
 
     Args:
         folder: the output folder; its files appear together or not at all.
-        size: height and width of the pictures.
+        size: height and width of the pictures in pixels.
         seed: of the noise.
 
     Returns:
-        The numbers in ``result.json``: per method the normal error in degrees, roughness and seconds.
+        The numbers in ``result.json``, by method.
 
     Raises:
         FileError: the place cannot be written.
+        MissingPackageError: a package that draws, writes or exports is not installed.
     """
+    require(*PACKAGES)  # a missing one is named before minutes of work
     with atomic_directory(folder) as temporary:
         say("rendering a rough object")
         scene = make_scene(size, seed)
         save_capture(temporary / "capture", scene.images, scene.lights, scene.surface.mask[0], scene.surface.normal[0])
         capture = load_capture(temporary / "capture")
-        found, seconds = {}, {}
+        found: dict[str, Reconstruction] = {}
+        numbers: dict[str, DemoNumbers] = {}
         for model in (*METHODS, "auto"):
             say(f"recovering it with {model}")
             begun = time.perf_counter()
             found[model] = photometric_stereo(capture.images, capture.lights, capture.mask, model=model, seed=seed)
-            seconds[model] = time.perf_counter() - begun
+            numbers[model] = _numbers(found[model], scene, time.perf_counter() - begun)
         say("drawing, and exporting an ONNX graph")
-        numbers = {model: _numbers(found[model], scene, seconds[model]) for model in found}
         sections = [
             _sweep(temporary, scene),
-            _shading(temporary, capture),
+            _photographs(temporary, capture),
             _comparison(temporary, found, numbers, scene),
             _surface(temporary, found["auto"], scene),
             _graph(temporary),
@@ -101,7 +130,7 @@ def run_demo(folder: str | os.PathLike[str], *, size: int = 256, seed: int = 0) 
     return numbers
 
 
-def _numbers(found: Reconstruction, scene: Scene, seconds: float) -> dict[str, Any]:
+def _numbers(found: Reconstruction, scene: Scene, seconds: float) -> DemoNumbers:
     mask = scene.surface.mask[0]
     albedo_error = (found.albedo - scene.albedo).abs()[:, mask[0]].mean() / scene.albedo[:, mask[0]].mean()
     return {
@@ -110,7 +139,8 @@ def _numbers(found: Reconstruction, scene: Scene, seconds: float) -> dict[str, A
         "roughness_degrees": math.degrees(found.roughness.max().item()),
         "albedo_error_share": albedo_error.item(),
         "scores": found.scores,
-        "report": found.report,
+        "report": [str(entry) for entry in found.report],
+        "findings": finding_entries(found.report),
         "seconds": seconds,
     }
 
@@ -118,37 +148,36 @@ def _numbers(found: Reconstruction, scene: Scene, seconds: float) -> dict[str, A
 def _sweep(folder: Path, scene: Scene) -> Section:
     """Roughness from 0 to 85 degrees beside Lambert, light at the camera."""
     mask, normal = scene.surface.mask[0], scene.surface.normal
+    light = torch.tensor([[0.0, 0.0, 1.0]])
     rows = []
     for model in ("qualitative", "vcavity"):
-        row = {"Lambert": OrenNayar("lambert")(normal, torch.tensor([[0.0, 0, 1]]), albedo=0.8)}
+        row = {"Lambert": OrenNayar("lambert")(normal, light, albedo=0.8)}
         for degrees in SWEEP_DEGREES:
             layer = OrenNayar(model)
-            row[f"σ = {degrees}°"] = layer(
-                normal, torch.tensor([[0.0, 0, 1]]), albedo=0.8, roughness=math.radians(degrees)
-            )
+            row[f"σ = {degrees}°"] = layer(normal, light, albedo=0.8, roughness=math.radians(degrees))
         rows.append({caption: show_light(image[0], mask) for caption, image in row.items()})
     picture = save_sheet(folder / "sweep.png", rows, labels=("qualitative", "vcavity"))
     text = (
-        "Albedo 0.8, the light at the camera. The rougher the surface, the flatter it looks: light comes back "
-        "from slopes that Lambert darkens. The classic qualitative form also loses light overall; the fit to the "
-        "V-cavity theory with all bounces keeps it.",
+        "Albedo 0.8, the light at the camera. The rougher the surface, the flatter it looks: slopes that are dark by "
+        "Lambert's law return more light. The qualitative model also loses light overall; the fit to the V-cavity "
+        "theory with all bounces keeps it.",
     )
     return Section("Roughness against Lambert", text, pictures=(picture,))
 
 
-def _shading(folder: Path, capture: Capture) -> Section:
+def _photographs(folder: Path, capture: Capture) -> Section:
     shown = range(0, len(capture.images), max(1, len(capture.images) // 6))
     row = {f"light {i + 1}": show_light(capture.images[i], capture.mask) for i in shown}
     picture = save_sheet(folder / "photographs.png", [row])
     text = (
-        f"{len(capture.images)} pictures by vcavity, roughness {math.degrees(ROUGHNESS):.0f}°, {NOISE:.0%} noise, "
-        "written as 16-bit files (folder capture) and read back.",
+        f"{len(capture.images)} pictures rendered with vcavity, roughness {math.degrees(ROUGHNESS):.0f}°, "
+        f"{NOISE:.0%} noise, written as 16-bit files (folder capture) and read back.",
     )
     return Section("The photographs", text, pictures=(picture,))
 
 
 def _comparison(
-    folder: Path, found: dict[str, Reconstruction], numbers: dict[str, dict[str, Any]], scene: Scene
+    folder: Path, found: dict[str, Reconstruction], numbers: dict[str, DemoNumbers], scene: Scene
 ) -> Section:
     mask, truth = scene.surface.mask[0], scene.surface.normal[0]
     normals = {"truth": truth} | {m: found[m].normal for m in METHODS}
@@ -179,7 +208,7 @@ def _comparison(
         for name, n in numbers.items()
     ]
     text = (
-        "Lambert is the price of leaving roughness out, the qualitative form the price of the older formula.",
+        "The error of lambert is what leaving roughness out costs; that of qualitative, what the older formula costs.",
         *numbers["auto"]["report"],
     )
     columns = (
@@ -209,5 +238,5 @@ def _surface(folder: Path, found: Reconstruction, scene: Scene) -> Section:
 def _graph(folder: Path) -> Section:
     path = export_onnx("shading", folder / "shading.onnx", model="vcavity")
     size = f"{path.stat().st_size / 1000:.0f} kB"
-    text = (f"shading.onnx ({size}) gave torch's values in ONNX Runtime at every size tried.",)
+    text = (f"shading.onnx ({size}) gives torch's values in ONNX Runtime at every size tried.",)
     return Section("The ONNX graph", text)

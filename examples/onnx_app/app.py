@@ -1,10 +1,11 @@
-"""Relight a normal map, draw a mesh or solve photographs with nothing but onnxruntime, numpy and OpenCV.
+"""Relight a normal map, render a mesh or solve photographs with only onnxruntime, numpy and OpenCV.
 
     python app.py relight shading.onnx normal.png out.png --light 0.3 0.4 0.86 --roughness 35 --albedo 0.8
     python app.py render renderer.onnx shading.onnx mesh.obj out.png --light 0.3 0.4 0.86 --roughness 35
     python app.py solve stereo.onnx photographs/ out/
 
-The graphs come from `orennayar export`. Angles are degrees; 8-bit photographs are taken as sRGB, 16-bit ones as linear.
+The graphs come from `orennayar export`. Angles are in degrees. 8-bit photographs are read as
+sRGB, 16-bit ones as linear light.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from __future__ import annotations
 import argparse
 import itertools
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -20,18 +22,23 @@ import numpy as np
 import onnxruntime
 
 Array = np.ndarray[Any, Any]
-PHOTOGRAPHS = {".png", ".jpg", ".jpeg", ".tif", ".tiff"}
-NO_PHOTOGRAPH = ("mask", "normal", "ambient")
+PHOTOGRAPH_SUFFIXES = {".png", ".jpg", ".jpeg", ".tif", ".tiff"}
+"""Suffixes, in lower case, of files that are taken for photographs where there is no filenames.txt."""
+OTHER_PICTURES = ("mask", "normal", "ambient")
+"""How the names of pictures begin that are no photographs of the capture."""
 LIGHT_FILES = ("light_directions.txt", "lights.txt")
+"""Names of files of light directions; the first is that of the DiLiGenT captures."""
+TINY = 1e-12
+"""Lower limit of lengths and maxima that are divided by."""
 
 
 def run(graph: str, **feeds: Array) -> dict[str, Array]:
-    """The graph's answers by name."""
+    """The outputs of a graph by name."""
     if not Path(graph).is_file():
         sys.exit(f"{graph}: no such file; write it with `orennayar export`")
     try:
         session = onnxruntime.InferenceSession(graph, providers=["CPUExecutionProvider"])
-    except Exception as error:  # the runtime has no common base for these
+    except Exception as error:  # the runtime's errors have no common base class
         sys.exit(f"{graph}: not a graph that ONNX Runtime loads ({error})")
     names = {i.name for i in session.get_inputs()}
     if names != set(feeds):
@@ -41,18 +48,18 @@ def run(graph: str, **feeds: Array) -> dict[str, Array]:
 
 
 def to_linear(values: Array) -> Array:
-    """The sRGB curve undone."""
+    """Decode sRGB values to linear light (IEC 61966-2-1)."""
     return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
 
 
 def to_srgb(light: Array) -> Array:
-    """The sRGB curve."""
+    """Encode linear light as sRGB (IEC 61966-2-1)."""
     light = np.clip(light, 0, 1)
     return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
 
 
 def read(path: Path) -> tuple[Array, int]:
-    """(3, H, W) RGB in [0, 1] as stored, and bits."""
+    """The stored RGB values of a picture, (3, H, W) in [0, 1], and their number of bits."""
     pixels = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
     if pixels is None:
         sys.exit(f"{path}: not a picture that OpenCV reads")
@@ -63,7 +70,7 @@ def read(path: Path) -> tuple[Array, int]:
 
 
 def write(path: Path, planes: Array, *, bits: int = 8) -> None:
-    """(3 or 1, H, W) in [0, 1] as a PNG."""
+    """Write values in [0, 1], (3, H, W) or (1, H, W), as a PNG."""
     path.parent.mkdir(parents=True, exist_ok=True)
     pixels = np.round(np.clip(planes, 0, 1) * (2**bits - 1)).astype(np.uint16 if bits == 16 else np.uint8)
     if not cv2.imwrite(str(path), pixels[::-1].transpose(1, 2, 0)):
@@ -71,35 +78,38 @@ def write(path: Path, planes: Array, *, bits: int = 8) -> None:
 
 
 def encode_normals(normal: Array) -> Array:
-    """Normals as colours; background black."""
-    return (normal + 1) / 2 * (normal != 0).any(0)
+    """Colours of unit normals, (3, H, W); the background is black."""
+    colours: Array = (normal + 1) / 2 * (normal != 0).any(0)
+    return colours
 
 
 def decode_normals(colours: Array) -> Array:
-    """The way back, green up."""
-    normal = 2 * colours - 1
-    normal /= np.maximum(np.linalg.norm(normal, axis=0), 1e-12)
-    return normal * (colours != 0).any(0)
+    """Unit normals of colours, (3, H, W), whose green channel points up."""
+    normal: Array = 2 * colours - 1
+    normal /= np.maximum(np.linalg.norm(normal, axis=0), TINY)
+    normal *= (colours != 0).any(0)
+    return normal
 
 
 def shade(graph: str, normal: Array, options: argparse.Namespace) -> Array:
-    """(1, H, W) of linear light."""
+    """Shading of a normal map (3, H, W) by a graph: linear light, (1, H, W)."""
     light = np.asarray(options.light, np.float32)
     if not np.linalg.norm(light) > 0:
         sys.exit("--light: needs a direction")
 
-    def one(*values: float) -> Array:
+    def constant(*values: float) -> Array:
         return np.asarray(values, np.float32).reshape(1, -1, 1, 1)
 
-    answer = run(
+    outputs = run(
         graph,
         normal=normal[None].astype(np.float32),
-        light=one(*(light / np.linalg.norm(light))),
-        view=one(0, 0, 1),
-        albedo=one(options.albedo),
-        roughness=one(np.radians(options.roughness)),
+        light=constant(*(light / np.linalg.norm(light))),
+        view=constant(0, 0, 1),
+        albedo=constant(options.albedo),
+        roughness=constant(np.radians(options.roughness)),
     )
-    return answer["shading"][0]
+    shading: Array = outputs["shading"][0]
+    return shading
 
 
 def relight(options: argparse.Namespace) -> None:
@@ -109,10 +119,10 @@ def relight(options: argparse.Namespace) -> None:
 
 
 def render(options: argparse.Namespace) -> None:
-    """Draw and shade a mesh that is centred and scaled to the unit sphere."""
+    """Render and shade a mesh, centred and scaled to the unit sphere."""
     vertices, faces = read_obj(options.mesh)
     low, high = vertices.min(0), vertices.max(0)
-    vertices = (vertices - (low + high) / 2) / max(float(np.linalg.norm(high - low)) / 2, 1e-12)
+    vertices = (vertices - (low + high) / 2) / max(float(np.linalg.norm(high - low)) / 2, TINY)
     seen = run(options.renderer, vertices=vertices.astype(np.float32), faces=faces)
     write(options.output, to_srgb(shade(options.shading, seen["normal"][0], options)))
 
@@ -136,41 +146,47 @@ def read_obj(path: Path) -> tuple[Array, Array]:
         sys.exit(f"{path}: not an OBJ mesh ({error})")
     corners_used = np.asarray(faces, np.int64)
     if not faces or corners_used.min() < 0 or corners_used.max() >= len(vertices):
-        sys.exit(f"{path}: no triangles, or faces that name vertices which are not there")
+        sys.exit(f"{path}: no triangles, or faces with vertices that do not exist")
     return np.asarray(vertices), corners_used
 
 
 def solve(options: argparse.Namespace) -> None:
-    """Photographs under known lights: normals as 16-bit PNG and .npy, albedo as PNG and .npy."""
+    """Solve photographs under known lights; writes normals and albedo as .png and .npy."""
     folder: Path = options.photographs
     names, lights = find_photographs(folder)
-    strengths = folder / "light_intensities.txt"
-    intensities = table(strengths) if strengths.is_file() else np.ones((len(names), 1))
+    images = read_photographs(folder, names)
+    mask = np.ones((1, *images.shape[2:]), bool)
+    if (folder / "mask.png").is_file():
+        mask = read(folder / "mask.png")[0][:1] > 0.5
+    if mask.shape[1:] != images.shape[2:] or not mask.any():
+        sys.exit("mask.png: empty, or of another size than the photographs")
+    found = run(options.stereo, images=images, lights=lights.astype(np.float32), mask=mask)
+    output: Path = options.output
+    write(output / "normal.png", encode_normals(found["normal"]), bits=16)
+    write(output / "albedo.png", to_srgb(found["albedo"] / max(float(found["albedo"].max()), TINY)))
+    np.save(output / "normal.npy", found["normal"])
+    np.save(output / "albedo.npy", found["albedo"])
+    print(f"{len(names)} photographs, {int(mask.sum())} pixels, roughness {np.degrees(found['roughness'].max()):.1f}")
+
+
+def read_photographs(folder: Path, names: list[str]) -> Array:
+    """Linear light over the intensity of the light, (K, 3, H, W)."""
+    file = folder / "light_intensities.txt"
+    intensities = table(file) if file.is_file() else np.ones((len(names), 1))
     if len(intensities) != len(names):
-        sys.exit(f"{strengths}: {len(intensities)} lines for {len(names)} photographs")
-    images = []
+        sys.exit(f"{file}: {len(intensities)} lines for {len(names)} photographs")
+    images: list[Array] = []
     for name, intensity in zip(names, intensities, strict=True):
         picture, bits = read(folder / name)
         if images and picture.shape != images[0].shape:
             sys.exit(f"{name}: {picture.shape[2]} x {picture.shape[1]}, unlike the first photograph")
         light = to_linear(picture) if bits == 8 else picture
         images.append((light / intensity.reshape(-1, 1, 1)).astype(np.float32))
-    mask = np.ones((1, *images[0].shape[1:]), bool)
-    if (folder / "mask.png").is_file():
-        mask = read(folder / "mask.png")[0][:1] > 0.5
-    if mask.shape[1:] != images[0].shape[1:] or not mask.any():
-        sys.exit("mask.png: empty, or of another size than the photographs")
-    found = run(options.stereo, images=np.stack(images), lights=lights.astype(np.float32), mask=mask)
-    output: Path = options.output
-    write(output / "normal.png", encode_normals(found["normal"]), bits=16)
-    write(output / "albedo.png", to_srgb(found["albedo"] / max(float(found["albedo"].max()), 1e-9)))
-    np.save(output / "normal.npy", found["normal"])
-    np.save(output / "albedo.npy", found["albedo"])
-    print(f"{len(names)} photographs, {int(mask.sum())} pixels, roughness {np.degrees(found['roughness'].max()):.1f}")
+    return np.stack(images)
 
 
 def find_photographs(folder: Path) -> tuple[list[str], Array]:
-    """File names in the order of the unit light directions (K, 3)."""
+    """File names of the photographs and their unit light directions, (K, 3)."""
     file = next((folder / name for name in LIGHT_FILES if (folder / name).is_file()), None)
     if file is None:
         sys.exit(f"{folder}: needs {' or '.join(LIGHT_FILES)}, a line `x y z` per photograph")
@@ -179,15 +195,15 @@ def find_photographs(folder: Path) -> tuple[list[str], Array]:
     if listed.is_file():
         names = listed.read_text().split()
     else:
-        pictures = (f for f in folder.iterdir() if f.suffix.lower() in PHOTOGRAPHS)
-        names = sorted(f.name for f in pictures if not f.stem.lower().startswith(NO_PHOTOGRAPH))
+        pictures = (f for f in folder.iterdir() if f.suffix.lower() in PHOTOGRAPH_SUFFIXES)
+        names = sorted(f.name for f in pictures if not f.stem.lower().startswith(OTHER_PICTURES))
     if lights.shape != (len(names), 3) or len(names) < 3:
         sys.exit(f"{file}: {lights.shape[0]} lights for {len(names)} photographs; 3 or more of both are needed")
     return names, lights / np.linalg.norm(lights, axis=1, keepdims=True)
 
 
 def table(file: Path) -> Array:
-    """Numbers in lines."""
+    """The numbers of a text file, a row per line."""
     try:
         return np.loadtxt(file, ndmin=2)
     except ValueError as error:
@@ -195,11 +211,11 @@ def table(file: Path) -> Array:
 
 
 def main() -> None:
-    """Read the command line."""
+    """Run the command that the arguments name."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(required=True)
 
-    def command(work: Any, *arguments: str) -> argparse.ArgumentParser:
+    def command(work: Callable[[argparse.Namespace], None], *arguments: str) -> argparse.ArgumentParser:
         part = commands.add_parser(work.__name__, help=work.__doc__)
         for argument in arguments:
             part.add_argument(argument, type=str if argument in ("shading", "renderer", "stereo") else Path)

@@ -1,12 +1,13 @@
-// The page: what is shown, under which light, by which models.
+// The page: which surface is shown, under which light, by which models.
 
 import { readCapture } from "./captures.js";
 import { run, threads } from "./graphs.js";
 import { readMesh, turned } from "./meshes.js";
 import { decodeNormals, drawDifference, drawLight, encodeNormals, readPicture, toLinear } from "./pictures.js";
 
+// MODELS in make_graphs.py
 const NAMES = { lambert: "Lambert", qualitative: "Classic Oren-Nayar", vcavity: "V-cavity, all bounces" };
-const SIDE = 512; // of what the renderer draws
+const SIDE = 512; // rows and columns that the renderer draws, SIZE in make_graphs.py
 const at = (id) => document.getElementById(id);
 const state = { normals: null, albedo: null, width: 0, height: 0, light: [0.3, 0.4], mesh: null, picture: null };
 
@@ -54,7 +55,7 @@ async function show() {
   at("largest").textContent = `most: ${largest.toFixed(3)}`;
 }
 
-/** Linear light of one model, one plane or three. */
+/** Linear light by one model, in one plane or three. */
 async function shade(view, model) {
   const begun = performance.now();
   const { shading } = await run(`shading_${model}`, feeds(), at("device").value);
@@ -141,17 +142,17 @@ async function openCapture(files) {
   const brightest = albedo.data.reduce((a, b) => Math.max(a, b), 1e-9);
   const shown = brightest > 1 ? albedo.data.map((value) => value / brightest) : albedo.data;
   const degrees = (roughness.data.reduce((a, b) => Math.max(a, b), 0) * 180) / Math.PI;
-  const told = at("solver").value === "stereo";
-  if (told) at("roughness").value = Math.round(degrees);
+  const estimated = at("solver").value === "stereo";
+  if (estimated) at("roughness").value = Math.round(degrees);
   Object.assign(state, { picture: null, mesh: null });
   at("turn").disabled = true;
   label();
   surface(normal.data, capture.width, capture.height, shown);
-  const found = told ? `roughness ${degrees.toFixed(0)}°` : "the network tells no roughness";
+  const found = estimated ? `roughness ${degrees.toFixed(0)}°` : "the network tells no roughness";
   say(`${capture.count} photographs solved in ${seconds} s: ${found}. Now relight them.`);
 }
 
-/** One normal map, one mesh, or a capture. */
+/** Opens one normal map, one mesh, or a capture. */
 async function open(files) {
   try {
     const mesh = files.find((file) => /\.(obj|ply|stl)$/i.test(file.name));
@@ -163,7 +164,7 @@ async function open(files) {
   }
 }
 
-// --- Hands --------------------------------------------------------------------------------------------------------
+// --- Input --------------------------------------------------------------------------------------------------------
 
 function moveLight(x, y) {
   const far = Math.hypot(x, y);

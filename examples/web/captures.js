@@ -9,7 +9,7 @@ const PICTURE = /\.(png|jpe?g|webp)$/i;
 const NO_PHOTOGRAPH = /^(mask|normal|ambient)/i;
 const natural = new Intl.Collator("en", { numeric: true }).compare;
 
-/** {feeds, width, height, count}, cropped to the mask. */
+/** Returns {feeds, width, height, count}, cropped to the mask. */
 export async function readCapture(files, encoding, say) {
   const byName = new Map(files.map((file) => [file.name.toLowerCase(), file]));
   const names = await photographNames(byName);

@@ -1,4 +1,4 @@
-// The graphs: one session each, on WASM or WebGPU. Works in the page and in a worker.
+// Runs the graphs, one session for each, on WASM or WebGPU; in the page and in a worker.
 
 const RUNTIME = new URL("./node_modules/onnxruntime-web/dist/", import.meta.url).href;
 const BUNDLES = { wasm: "ort.wasm.bundle.min.mjs", webgpu: "ort.webgpu.bundle.min.mjs" };
@@ -37,7 +37,7 @@ async function open(name, device) {
   }
 }
 
-/** Feeds are {name: {data, dims, type?}}; answers are {name: {data, dims}}. */
+/** Takes {name: {data, dims, type?}} and returns {name: {data, dims}}. */
 export async function run(name, feeds, device = "wasm") {
   const key = `${device}/${name}`;
   if (!sessions.has(key)) sessions.set(key, open(name, device));

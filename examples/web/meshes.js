@@ -19,7 +19,7 @@ const READERS = {
   },
 };
 
-/** {vertices: Float32Array (V, 3), faces: BigInt64Array (F, 3)} */
+/** Returns {vertices: Float32Array (V, 3), faces: BigInt64Array (F, 3)}. */
 export async function readMesh(file) {
   const kind = file.name.toLowerCase().split(".").pop();
   let parts;
@@ -53,7 +53,7 @@ function fit(vertices) {
   return Float32Array.from(vertices, (value, k) => (value - (low[k % 3] + high[k % 3]) / 2) / radius);
 }
 
-/** The vertices turned about the upright axis, degrees. */
+/** Rotates the vertices about the y axis by an angle in degrees. */
 export function turned(vertices, degrees) {
   const [c, s] = [Math.cos((degrees * Math.PI) / 180), Math.sin((degrees * Math.PI) / 180)];
   const result = new Float32Array(vertices.length);

@@ -1,9 +1,10 @@
-// Pictures in and out: planes of numbers from files, the sRGB curve, canvases.
+// Reads pictures into planes of numbers, and draws planes on canvases; sRGB as in IEC 61966-2-1.
 
 import { convertIndexedToRgb, decode } from "fast-png";
 
 export class PictureError extends Error {}
 
+// Entries of the table of the sRGB curve: fine enough that every 8-bit value is reached in its dark, steep part.
 const FINE = 1 << 14;
 const CURVE = Uint8ClampedArray.from({ length: FINE + 1 }, (_, k) => {
   const light = k / FINE;
@@ -12,7 +13,7 @@ const CURVE = Uint8ClampedArray.from({ length: FINE + 1 }, (_, k) => {
 
 export const toLinear = (value) => (value <= 0.04045 ? value / 12.92 : ((value + 0.055) / 1.055) ** 2.4);
 
-/** {width, height, bits, planes}: three planes in [0, 1] as stored, one after the other. */
+/** Returns {width, height, bits, planes}: three planes of stored values in [0, 1], one after the other. */
 export async function readPicture(file) {
   try {
     return file.name.toLowerCase().endsWith(".png") ? await readPng(file) : await readOther(file);
@@ -49,7 +50,7 @@ function toPlanes(data, count, channels, top) {
   return planes;
 }
 
-/** Unit normals in the camera frame, three planes; black is background. */
+/** Unit normals in the camera frame, three planes; black pixels are background. */
 export function decodeNormals({ planes }, green) {
   const count = planes.length / 3;
   const normals = new Float32Array(planes.length);
@@ -70,7 +71,7 @@ export function decodeNormals({ planes }, green) {
   return normals;
 }
 
-/** Normals, three planes, as colours; green up, background black. */
+/** Encodes three planes of normals as colours; the green channel points up, the background is black. */
 export function encodeNormals(normals, width, height) {
   const count = width * height;
   const image = new ImageData(width, height);
@@ -92,7 +93,7 @@ function imageOf(canvas, width, height) {
   return image[canvas.id];
 }
 
-/** Linear light, one plane or three, onto a canvas as sRGB. */
+/** Draws linear light, one plane or three, on a canvas as sRGB. */
 export function drawLight(canvas, planes, width, height) {
   const target = imageOf(canvas, width, height);
   const count = width * height;
@@ -107,7 +108,7 @@ export function drawLight(canvas, planes, width, height) {
   canvas.getContext("2d").putImageData(target, 0, 0);
 }
 
-/** Red where the first is brighter, blue where the second is; returns the largest difference. */
+/** Draws red where the first is brighter and blue where the second is; returns the largest difference. */
 export function drawDifference(canvas, first, second, width, height) {
   const target = imageOf(canvas, width, height);
   const count = width * height;

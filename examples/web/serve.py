@@ -1,4 +1,4 @@
-"""Open the page: make environment and graphs where they are missing, fetch the runtime, serve to this machine alone.
+"""Open the page: make environment and graphs if they are missing, fetch the runtime, serve to this machine only.
 
 python3 examples/web/serve.py [--port 8000] [--no-open] [--prepare]
 """
@@ -15,11 +15,13 @@ from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
+"""The folder that is served."""
 ROOT = HERE.parent.parent
+"""The repository."""
 
 
 class Handler(SimpleHTTPRequestHandler):
-    """Files of the page, with the headers that allow threads and forbid other origins."""
+    """Serves the page with the headers that allow threads and forbid other origins."""
 
     extensions_map = SimpleHTTPRequestHandler.extensions_map | {
         ".js": "text/javascript",
@@ -29,18 +31,18 @@ class Handler(SimpleHTTPRequestHandler):
     }
 
     def end_headers(self) -> None:
-        """Isolation from other origins is what browsers ask of pages with threads."""
+        """Add the headers: browsers allow threads only in pages isolated from other origins."""
         self.send_header("Cross-Origin-Opener-Policy", "same-origin")
         self.send_header("Cross-Origin-Embedder-Policy", "require-corp")
         self.send_header("Cache-Control", "no-cache")
         super().end_headers()
 
     def log_message(self, *_: object) -> None:
-        """Silence: the page itself says what is missing."""
+        """Log nothing: the page itself shows what is missing."""
 
 
 def prepare() -> None:
-    """The packages of the page, and its graphs if they are older than the package."""
+    """Install the page's packages, and write its graphs unless they are newer than the Python package."""
     locked = HERE / "node_modules" / ".package-lock.json"
     if not locked.exists() or locked.stat().st_mtime < (HERE / "package-lock.json").stat().st_mtime:
         npm = shutil.which("npm")
@@ -48,26 +50,26 @@ def prepare() -> None:
             sys.exit("npm is needed to fetch onnxruntime-web: install Node.js 20 or newer")
         print("fetching onnxruntime-web", flush=True)
         subprocess.run([npm, "ci", "--silent", "--no-audit", "--no-fund", "--ignore-scripts"], cwd=HERE, check=True)
-    sources = [*(ROOT / "torch_orennayar").glob("*.p[ty]"), HERE / "make_graphs.py"]
-    done = HERE / "graphs" / "normal.png"  # the last file written
-    if not done.exists() or done.stat().st_mtime < max(s.stat().st_mtime for s in sources):
-        sys.path.insert(0, str(ROOT / "scripts"))
-        from environment import prepare as environment
+    sources = [*(ROOT / "torch_orennayar").rglob("*.p[ty]"), HERE / "make_graphs.py"]
+    last = HERE / "graphs" / "normal.png"  # the last file that make_graphs.py writes
+    if not last.exists() or last.stat().st_mtime < max(s.stat().st_mtime for s in sources):
+        sys.path.insert(0, str(ROOT))
+        from scripts.environment import prepare as environment
 
-        subprocess.run([environment(), HERE / "make_graphs.py", HERE / "graphs"], check=True)
+        subprocess.run([environment("all"), HERE / "make_graphs.py", HERE / "graphs"], check=True)
 
 
 def server(port: int) -> ThreadingHTTPServer:
-    """Bound to this machine; port 0 takes a free one."""
+    """A server that only this machine reaches; port 0 is any free port."""
     return ThreadingHTTPServer(("127.0.0.1", port), partial(Handler, directory=str(HERE)))
 
 
 def main() -> None:
-    """Prepare, serve until Ctrl-C."""
+    """Prepare, then serve until Ctrl-C."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--port", type=int, default=8000)
     parser.add_argument("--no-open", action="store_true", help="do not open a browser")
-    parser.add_argument("--prepare", action="store_true", help="fetch and export, then leave")
+    parser.add_argument("--prepare", action="store_true", help="fetch and export, then exit")
     options = parser.parse_args()
     prepare()
     if options.prepare:

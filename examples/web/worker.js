@@ -1,4 +1,4 @@
-// Long graphs run here, so that the page stays awake.
+// Graphs that take long run here, so that the page stays responsive.
 
 import { run } from "./graphs.js";
 

@@ -1,7 +1,7 @@
-"""Oren-Nayar as people copy it, kept to be measured: right in parts, wrong in parts, none of it for use.
+"""Implementations of Oren-Nayar in circulation, to be measured beside this package's models and not to be used.
 
 Each takes unit vectors (..., 3) and returns the shading ``pi f_r max(0, n.l)``, written as its source writes it
-(in angles, with normalised projected vectors), so that its time, its error and its gradients are its own.
+(in angles, with normalised projected vectors), so that its time, error and gradients are those of the source.
 """
 
 from __future__ import annotations
@@ -79,14 +79,14 @@ def textbook(n: Tensor, l: Tensor, v: Tensor, rho: Tensor, sigma: Tensor) -> Ten
 
 
 def sine_sine(n: Tensor, l: Tensor, v: Tensor, rho: Tensor, sigma: Tensor) -> Tensor:  # noqa: E741
-    """The slip ``sin(alpha) sin(beta)`` for ``sin(alpha) tan(beta)``."""
+    """The error ``sin(alpha) sin(beta)`` for ``sin(alpha) tan(beta)``."""
     a, b = _constants(sigma)
     ci, co = _dot(n, l), _dot(n, v)
     return rho * ci.clamp_min(0) * (a + b * (_dot(l, v) - ci * co).clamp_min(0))
 
 
 def rising(n: Tensor, l: Tensor, v: Tensor, rho: Tensor, sigma: Tensor) -> Tensor:  # noqa: E741
-    """The slip ``A = 1 + x (rho / (x + 0.13) + 0.5 / (x + 0.33))``: a plus for a minus, so roughness brightens."""
+    """The error ``A = 1 + x (rho / (x + 0.13) + 0.5 / (x + 0.33))``, a plus for a minus: roughness brightens."""
     x = sigma * sigma
     a = 1 + x * (rho / (x + 0.13) + 0.5 / (x + 0.33))
     ci, co = _dot(n, l), _dot(n, v)
@@ -96,7 +96,7 @@ def rising(n: Tensor, l: Tensor, v: Tensor, rho: Tensor, sigma: Tensor) -> Tenso
 
 
 def doubled(n: Tensor, l: Tensor, v: Tensor, rho: Tensor, sigma: Tensor) -> Tensor:  # noqa: E741
-    """The slip ``A = 1 - x / (2 x + 0.33)``: a bracket lost from ``0.5 x / (x + 0.33)``."""
+    """The error ``A = 1 - x / (2 x + 0.33)``, a bracket lost from ``0.5 x / (x + 0.33)``."""
     x = sigma * sigma
     a = 1 - x / (2 * x + 0.33)
     ci, co = _dot(n, l), _dot(n, v)
@@ -107,7 +107,7 @@ def doubled(n: Tensor, l: Tensor, v: Tensor, rho: Tensor, sigma: Tensor) -> Tens
 def memory_floor(
     normal: Tensor, light: Tensor, view: Tensor, albedo: Tensor, roughness: Tensor, *, dim: int = -1
 ) -> Tensor:
-    """What speed is measured against: reads and writes the bytes of a model and computes next to nothing."""
+    """The lower bound of time: reads and writes the same bytes as a model and computes next to nothing."""
     x, y, z = (a * b for a, b in zip(normal.unbind(dim), light.unbind(dim), strict=True))
     return albedo * (x + y + z).unsqueeze(dim).relu() * (1 + 1e-9 * roughness)
 
@@ -122,7 +122,9 @@ BASELINES = (
         "http://shaderjvo.blogspot.com/2011/08/van-ouwerkerks-rewrite-of-oren-nayar.html",
     ),
     Baseline("textbook", textbook, "textbooks: the full model in angles", _WIKIPEDIA),
-    Baseline("sin sin", sine_sine, "a slip found on web pages", _WIKIPEDIA),
-    Baseline("A plus", rising, "a slip copied in public shaders", "https://github.com/glslify/glsl-diffuse-oren-nayar"),
-    Baseline("A bracket", doubled, "a slip found in public shaders", _WIKIPEDIA),
+    Baseline("sin sin", sine_sine, "an error found on web pages", _WIKIPEDIA),
+    Baseline(
+        "A plus", rising, "an error copied in public shaders", "https://github.com/glslify/glsl-diffuse-oren-nayar"
+    ),
+    Baseline("A bracket", doubled, "an error found in public shaders", _WIKIPEDIA),
 )

@@ -1,36 +1,42 @@
 """Milliseconds per frame of shading and its largest error, in torch, ONNX Runtime and a browser.
 
     python -m scripts.benchmarks.benchmark_onnx [--models lambert qualitative vcavity] [--capture FOLDER]
-        [--output out/benchmark]
 
-One picture of 512 and 1024 pixels squared, one light, grey albedo: torch eager and compiled, ONNX Runtime with 1 and 2
-threads, and, where Chromium, npm and Playwright are there, the page's WASM with 1 and with all threads. Medians;
-errors are against float64. Prints a table, writes onnx.json. With a capture, prints how long both `stereo` graphs take
-for it, and their angle to torch's normals.
+`shading`: one picture of 512 and 1024 pixels squared, one light, grey albedo: torch eager and compiled, ONNX Runtime
+with 1 and 2 threads and, where Chromium, npm and Playwright are installed, the page's WASM with 1 and with all threads.
+Medians; errors are against float64. `stereo`, with a capture: how long both `stereo` graphs take for it, and the angle
+of their normals to torch's. Recorded in results/benchmark_onnx.json.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
+import functools
 import statistics
 import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, NamedTuple
 
 import onnxruntime
 import torch
 from torch import Tensor
 
 import torch_orennayar as ton
+from scripts.benchmarks.record import record
 from tests.support.example_code import CAN_BROWSE, CHROMIUM, served_page
 from torch_orennayar.stereo.closed_form import solve_closed_form
 from torch_orennayar.stereo.network_solver import solve_network
 
+if TYPE_CHECKING:
+    from playwright.sync_api import Page
+
 RUNS, WARM = 30, 5
+"""Timed runs, and runs before them that are not counted."""
+SIDES = (512, 1024)
+"""Heights and widths of the picture."""
 IN_PAGE = """async ([name, side, runs]) => {
   const { run, threads } = await import('/graphs.js');
   const { normals } = await import('/benchmark_scene.js');
@@ -46,6 +52,7 @@ IN_PAGE = """async ([name, side, runs]) => {
   }
   return { times, threads, values: Array.from(found.shading.data) };
 }"""
+"""Runs a graph in the page: its times, number of threads and values."""
 SCENE = """export function normals(side) {
   const values = new Float32Array(3 * side * side);
   for (let i = 0; i < side; i++) for (let j = 0; j < side; j++) {
@@ -57,16 +64,41 @@ SCENE = """export function normals(side) {
 }"""
 
 
-def scene(side: int) -> dict[str, Tensor]:
-    """What SCENE makes, in float32: a piece of a ball."""
+"""The scene of `scene` as the page makes it."""
+
+
+class Scene(NamedTuple):
+    """Inputs of the layer, float32 unless converted."""
+
+    normal: Tensor
+    light: Tensor
+    view: Tensor
+    albedo: Tensor
+    roughness: Tensor
+
+    def shade(self, model: str) -> Tensor:
+        """Shading by one model."""
+        return ton.oren_nayar(*self, model=model)
+
+    def exact(self, model: str) -> Tensor:
+        """The same in float64."""
+        return Scene(*(part.double() for part in self)).shade(model)
+
+
+Row = tuple[float, float]
+"""Milliseconds and largest error."""
+
+
+def scene(side: int) -> Scene:
+    """A piece of a ball under one light, in float32."""
     steps = (torch.arange(side).double() + 0.5) / side * 1.4 - 0.7
     y, x = torch.meshgrid(steps, steps, indexing="ij")
     normal = torch.stack((x, y, (1 - x * x - y * y).clamp_min(0).sqrt())).float()
-    one = {"light": (0.48, 0.36, 0.8), "view": (0.0, 0.0, 1.0), "albedo": (0.8,), "roughness": (0.6,)}
-    return {"normal": normal[None]} | {n: torch.tensor(v).reshape(1, -1, 1, 1) for n, v in one.items()}
+    rest = (torch.tensor(v).reshape(1, -1, 1, 1) for v in ((0.48, 0.36, 0.8), (0.0, 0.0, 1.0), (0.8,), (0.6,)))
+    return Scene(normal[None], *rest)
 
 
-def median(work: Callable[[], Any]) -> float:
+def median(work: Callable[[], object]) -> float:
     """Milliseconds."""
     times = []
     for _ in range(RUNS + WARM):
@@ -77,48 +109,49 @@ def median(work: Callable[[], Any]) -> float:
 
 
 def opened_graph(path: Path, threads: int) -> onnxruntime.InferenceSession:
-    """A graph that runs on so many threads of the CPU."""
+    """A graph, ready to run on so many threads of the CPU."""
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = threads
     return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
 
 
-def in_python(model: str, side: int, graph: Path) -> dict[str, tuple[float, float]]:
+def in_python(model: str, side: int, graph: Path) -> dict[str, Row]:
     """Milliseconds and error by runner."""
     given = scene(side)
-    exact = ton.oren_nayar(**{k: v.double() for k, v in given.items()}, model=model)
+    exact = given.exact(model)
 
-    def row(work: Callable[[], Tensor]) -> tuple[float, float]:
+    def row(work: Callable[[], Tensor]) -> Row:
         return median(work), (work().double() - exact).abs().max().item()
 
-    compiled = torch.compile(lambda given: ton.oren_nayar(**given, model=model))
+    compiled = torch.compile(lambda given: given.shade(model))
     with torch.no_grad():
         rows = {
-            "torch eager": row(lambda: ton.oren_nayar(**given, model=model)),
+            "torch eager": row(lambda: given.shade(model)),
             "torch compiled": row(lambda: compiled(given)),
         }
+    feeds = {name: part.numpy() for name, part in given._asdict().items()}
+
+    def run(session: onnxruntime.InferenceSession) -> Tensor:
+        return torch.from_numpy(session.run(None, feeds)[0])
+
     for threads in (1, 2):
         session = opened_graph(graph, threads)
-        feeds = {k: v.numpy() for k, v in given.items()}
-        rows[f"ONNX Runtime, {threads} thread{'s' * (threads > 1)}"] = row(
-            lambda session=session, feeds=feeds: torch.from_numpy(session.run(None, feeds)[0])
-        )
+        rows[f"ONNX Runtime, {threads} thread{'s' * (threads > 1)}"] = row(functools.partial(run, session))
     return rows
 
 
-def in_browser(page: Any, model: str, side: int) -> tuple[str, float, float]:
-    """Name of the runner, milliseconds and error."""
-    given = scene(side)
-    exact = ton.oren_nayar(**{k: v.double() for k, v in given.items()}, model=model)
+def in_browser(page: Page, model: str, side: int) -> tuple[str, Row]:
+    """Name of the runner, and its milliseconds and error."""
+    exact = scene(side).exact(model)
     found = page.evaluate(IN_PAGE, [f"shading_{model}", side, RUNS + WARM])
     error = (torch.tensor(found["values"], dtype=torch.float64) - exact.flatten()).abs().max().item()
     threads = found["threads"]
-    return f"WASM, {threads} thread{'s' * (threads > 1)}", statistics.median(found["times"][WARM:]), error
+    return f"WASM, {threads} thread{'s' * (threads > 1)}", (statistics.median(found["times"][WARM:]), error)
 
 
 @contextmanager
-def pages() -> Iterator[list[Any]]:
-    """The page with one thread and with all; nothing where a browser or npm is missing."""
+def pages() -> Iterator[list[Page]]:
+    """The page with one thread and with all threads; empty where a browser or npm is missing."""
     if not CAN_BROWSE:
         print("no Chromium or npm: WASM is left out")
         yield []
@@ -139,15 +172,16 @@ def pages() -> Iterator[list[Any]]:
         browser.close()
 
 
-def solve_capture(folder: Path) -> None:
-    """Print seconds and largest angle to torch's normals of both `stereo` graphs on a capture, 2 threads."""
+def solve_capture(folder: Path) -> dict[str, dict[str, float]]:
+    """Seconds of both `stereo` graphs on a capture, 2 threads, and the angle in degrees to torch's normals."""
     capture = ton.load_capture(folder)
     images, lights, mask = capture.images.float(), capture.lights.float(), capture.mask
     feeds = {"images": images.numpy(), "lights": lights.numpy(), "mask": mask.numpy()}
-    wanted = {
+    wanted: dict[str, Callable[[], Tensor]] = {
         "vcavity": lambda: solve_closed_form(images, lights, mask, "vcavity")[0],
         "network": lambda: solve_network(images, lights, mask[0])["normal"],
     }
+    rows = {}
     for model, solve in wanted.items():
         with tempfile.TemporaryDirectory() as kept:
             session = opened_graph(ton.export_onnx("stereo", Path(kept) / "stereo.onnx", model=model), 2)
@@ -156,35 +190,31 @@ def solve_capture(folder: Path) -> None:
         seconds = time.perf_counter() - begun
         apart = ton.angular_error(found, solve(), mask).as_subclass(Tensor)[mask]
         apart = apart[apart.isfinite()]
-        print(f"stereo graph, {model}: {seconds:.1f} s, degrees from torch {apart.mean():.1e}, most {apart.max():.1e}")
+        rows[model] = {"seconds": seconds, "mean": apart.mean().item(), "most": apart.max().item()}
+        print(f"stereo graph, {model}: {rows[model]}")
+    return rows
 
 
 def main() -> None:
-    """Measure and print."""
+    """Measure, print and record."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--models", nargs="+", default=["lambert", "qualitative", "vcavity"])
     parser.add_argument("--capture", type=Path)
-    parser.add_argument("--output", type=Path, default=Path("out/benchmark"))
     options = parser.parse_args()
-    document: dict[str, dict[str, dict[str, tuple[float, float]]]] = {}
+    sections: dict[str, object] = {}
     with tempfile.TemporaryDirectory() as folder, pages() as opened:
         for model in options.models:
             graph = ton.export_onnx("shading", Path(folder) / f"{model}.onnx", model=model)
-            for side in (512, 1024):
-                rows = in_python(model, side, graph)
-                for page in opened:
-                    name, milliseconds, error = in_browser(page, model, side)
-                    rows[name] = (milliseconds, error)
-                document.setdefault(model, {})[str(side)] = rows
-    for model, sides in document.items():
-        print(f"{model:24}" + "".join(f"{s + ' squared':>24}" for s in sides))
-        for name in sides["512"]:
-            cells = (f"{rows[name][0]:9.1f} ms {rows[name][1]:11.1e}" for rows in sides.values())
-            print(f"  {name:22}" + "".join(cells))
+            sides: dict[str, dict[str, Row]] = {}
+            for side in SIDES:
+                rows = in_python(model, side, graph) | dict(in_browser(page, model, side) for page in opened)
+                sides[str(side)] = rows
+                for name, (milliseconds, error) in rows.items():
+                    print(f"{model:24}{side:6}  {name:24}{milliseconds:9.1f} ms {error:11.1e}")
+            sections[f"shading, {model}"] = sides
     if options.capture:
-        solve_capture(options.capture)
-    options.output.mkdir(parents=True, exist_ok=True)
-    (options.output / "onnx.json").write_text(json.dumps(document, indent=2) + "\n")
+        sections["stereo"] = {"capture": options.capture.name, "graphs": solve_capture(options.capture)}
+    record("benchmark_onnx", sections)
 
 
 if __name__ == "__main__":

@@ -1,32 +1,31 @@
-"""How fast and how exact the renderer is, beside others in the same run.
+"""Speed and accuracy of the renderer beside others, measured in the same run.
 
-    python -m scripts.benchmarks.benchmark_renderer [-o FOLDER] [--quick]
+    python -m scripts.benchmarks.benchmark_renderer [--sections NAME...] [--quick]
 
-Bars: 512 x 512 with 20,480 triangles against OpenGL on the processor, 1024 x 1024 with 327,680 against Mitsuba; all
-draw the same sphere with the same vertex normals, with back faces and without, each in a process of its own, since
-idle threads of one disturb another. Error against time: normals of an analytic sphere and torus, at the points that
-were drawn, for meshes of several sizes. Cost: against triangles from 12 to 5 million, and against pixels from 64 to
-2048 squared. Batches: 64 views of 128 x 128, also with gradients. Where the time goes. Memory: the peak of a fresh
-process over what it held before. Writes renderer.json, renderer.png and renderer_cost.png. ``peers.py`` says how to
-install the others.
+`comparison`: a sphere of 20,480 triangles at 512 x 512 (the target is OpenGL on the processor) and of 327,680 at 1024 x
+1024 (the target is Mitsuba), with back faces and without; all renderers use the same vertex normals and run in a
+process of their own, since idle threads of one disturb another. `accuracy`: error against time, normals of an analytic
+sphere and torus at the points that were drawn, for meshes of several sizes. `costs`: time against triangles from 12 to
+5 million and against pixels from 64 to 2048 squared. `batches`: 64 views of 128 x 128, also with gradients. `steps`:
+where the time goes. `memory`: the peak of a fresh process over what it held before. Recorded in
+results/benchmark_renderer.json, from which `scripts.benchmarks.charts` draws. `peers.py` says how to install the other
+renderers.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
-from collections.abc import Callable
-from pathlib import Path
+from collections.abc import Callable, Iterable
 from statistics import median
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
-import numpy.typing as npt
 import torch
 import trimesh
 from torch import Tensor
 
-from scripts.benchmarks.peers import PEERS, Picture, View
+from scripts.benchmarks.peers import PEERS, Floats, Picture, View
+from scripts.benchmarks.record import record
 from scripts.benchmarks.timing import Call, alone, interleave, peak_bytes
 from torch_orennayar import Camera, render_normals, vertex_normals
 from torch_orennayar.core.progress import track
@@ -34,11 +33,26 @@ from torch_orennayar.render import interpolate, raster
 from torch_orennayar.render import normal_map as render
 
 HALF_HEIGHT = 1.1
+"""Half the height of the orthographic picture; meshes have radius 1."""
 OURS, OURS_FRONT = "this package", "this package, front faces"
+"""Names of this package in tables: with both sides of faces, and with front faces only."""
 RENDERERS = [(OURS, False), (OURS, True), *((name, False) for name in PEERS)]
+"""Name, and whether back faces are culled."""
 RING, TUBE = 0.7, 0.3
+"""Radii of the torus."""
+REHEARSAL = 16
+"""Size of the picture by which `peak_bytes` loads code before it measures."""
 Mesh = tuple[Tensor, Tensor]
-Truth = Callable[[npt.NDArray[np.float64]], npt.NDArray[np.float64]]
+Truth = Callable[[Floats], Floats]
+
+
+class Timed(TypedDict):
+    """Times of one renderer's runs and the error of its normals in degrees."""
+
+    triangles: int
+    times: list[float]
+    ms: float
+    degrees: float
 
 
 def sphere(triangles: int) -> Mesh:
@@ -80,19 +94,19 @@ def revolve(rows: int, columns: int, place: Callable[[Tensor, Tensor], Tensor], 
     return place(t, p).reshape(-1, 3).float(), torch.cat((torch.stack((a, b, c), 1), torch.stack((a, c, d), 1)))
 
 
-def sphere_truth(points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def sphere_truth(points: Floats) -> Floats:
     """Normals (N, 3) at points of the unit sphere, or near it."""
-    return points / np.linalg.norm(points, axis=1, keepdims=True)
+    return np.asarray(points / np.linalg.norm(points, axis=1, keepdims=True))
 
 
-def torus_truth(points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def torus_truth(points: Floats) -> Floats:
     """Normals (N, 3) at points of the torus."""
     turn = tilt().numpy()
     own = points @ turn
     ring = own * [1, 1, 0]
     ring *= RING / np.linalg.norm(ring, axis=1, keepdims=True)
     away = own - ring
-    return (away / np.linalg.norm(away, axis=1, keepdims=True)) @ turn.T
+    return np.asarray((away / np.linalg.norm(away, axis=1, keepdims=True)) @ turn.T)
 
 
 def error(picture: Picture, truth: Truth) -> float:
@@ -108,7 +122,7 @@ def error(picture: Picture, truth: Truth) -> float:
 
 
 def ours(mesh: Mesh, normals: Tensor, size: int, *, cull: str | None = None) -> Callable[[], Picture]:
-    """Draw with this package, everything that a `NormalMap` has."""
+    """A call that renders everything that a `NormalMap` holds with this package."""
     camera = Camera.orthographic(HALF_HEIGHT)
 
     def draw() -> Picture:
@@ -118,8 +132,8 @@ def ours(mesh: Mesh, normals: Tensor, size: int, *, cull: str | None = None) -> 
     return draw
 
 
-def timed(name: str, shape: str, triangles: int, size: int, cull: bool, runs: int) -> dict[str, Any]:
-    """Milliseconds of one renderer's runs and the error of its normals; meant for a process of its own."""
+def timed(name: str, shape: str, triangles: int, size: int, cull: bool, runs: int) -> Timed:
+    """Time one renderer, in a process of its own."""
     make, truth = (sphere, sphere_truth) if shape == "sphere" else (torus, torus_truth)
     mesh = make(triangles)
     normals = vertex_normals(*mesh)
@@ -132,22 +146,24 @@ def timed(name: str, shape: str, triangles: int, size: int, cull: bool, runs: in
     return {"triangles": len(mesh[1]), "times": times, "ms": median(times), "degrees": error(call(), truth)}
 
 
-def compare(triangles: int, size: int, runs: int, *, cull: bool) -> tuple[dict[str, Any], dict[str, str]]:
-    """Milliseconds of every renderer, each in a process of its own, twice in turn; and ours over each."""
+def compare(triangles: int, size: int, runs: int, *, cull: bool) -> dict[str, dict[str, float | str]]:
+    """Milliseconds of every renderer, each in a process of its own, twice in turn; and ours over each.
+
+    A renderer that could not run has the reason under ``"missing"``.
+    """
     taken: dict[str, list[float]] = {}
-    missing = {}
+    found: dict[str, dict[str, float | str]] = {}
     for name in track([OURS, *PEERS] * 2, f"{triangles} triangles, {size} squared"):
         result = alone(timed, name, "sphere", triangles, size, cull, runs)
         if isinstance(result, Exception):
-            missing[name] = str(result)
+            found[name] = {"missing": str(result)}
         else:
             taken.setdefault(name, []).extend(result["times"])
-    found = {}
     for name, times in taken.items():
-        low, high = np.quantile(times, (0.1, 0.9))
+        low, high = (float(q) for q in np.quantile(times, (0.1, 0.9)))
         over = median(taken[OURS]) / median(times)
         found[name] = {"ms": median(times), "10 %": low, "90 %": high, "ours over it": over}
-    return found, missing
+    return found
 
 
 def accuracy(runs: int, quick: bool) -> list[dict[str, Any]]:
@@ -163,6 +179,12 @@ def accuracy(runs: int, quick: bool) -> list[dict[str, Any]]:
     return rows
 
 
+def both_sides(mesh: Mesh, size: int) -> dict[str, Call]:
+    """Calls that render with both sides of faces and with front faces only."""
+    normals = vertex_normals(*mesh)
+    return {"all": ours(mesh, normals, size), "front": ours(mesh, normals, size, cull="back")}
+
+
 def costs(runs: int, quick: bool) -> dict[str, list[dict[str, float]]]:
     """Milliseconds against triangles at 512 squared, and against pixels with 20,480 triangles."""
     by_triangles, by_pixels = [], []
@@ -170,22 +192,12 @@ def costs(runs: int, quick: bool) -> dict[str, list[dict[str, float]]]:
         (12, 1280, 20_480) if quick else (12, 320, 1280, 5120, 20_480, 81_920, 327_680, 1_310_720, 5_000_000)
     ):
         mesh = sphere(triangles)
-        normals = vertex_normals(*mesh)
-        times = interleave(
-            {"all": ours(mesh, normals, 512), "front": ours(mesh, normals, 512, cull="back")},
-            max(3, runs // 4) if triangles > 1e6 else runs,
-            f"{len(mesh[1])} triangles",
-            warm=1,
-        )
+        few = max(3, runs // 4) if triangles > 1e6 else runs
+        times = interleave(both_sides(mesh, 512), few, f"{len(mesh[1])} triangles", warm=1)
         by_triangles.append({"triangles": len(mesh[1])} | {k: median(v) for k, v in times.items()})
     mesh = sphere(20_480)
-    normals = vertex_normals(*mesh)
     for size in (64, 256) if quick else (64, 128, 256, 512, 1024, 2048):
-        calls: dict[str, Call] = {
-            "all": ours(mesh, normals, size),
-            "front": ours(mesh, normals, size, cull="back"),
-        }
-        times = interleave(calls, max(3, runs // 2), f"{size} squared", warm=1)
+        times = interleave(both_sides(mesh, size), max(3, runs // 2), f"{size} squared", warm=1)
         by_pixels.append({"pixels": size * size} | {k: median(v) for k, v in times.items()})
     return {"triangles": by_triangles, "pixels": by_pixels}
 
@@ -220,7 +232,7 @@ def shares(mesh: Mesh, size: int, runs: int) -> dict[str, float]:
     x, y, w = image.unbind(2)
     points = raster.Projected(x, y, w, -corners[:, :, 2])
     face = raster.visible_faces(points, mesh[1], (size, size), None, None)
-    surface = interpolate.Surface(corners, image, normals.double()[None], True)
+    surface = interpolate.VertexAttributes(corners, image, normals.double()[None], True)
     calls: dict[str, Call] = {
         "whole": lambda: render.render_normals(*mesh, camera, (size, size), vertex_normals=normals),
         "visible faces": lambda: raster.visible_faces(points, mesh[1], (size, size), None, None),
@@ -233,8 +245,8 @@ def shares(mesh: Mesh, size: int, runs: int) -> dict[str, float]:
 
 
 def drawing(size: int, triangles: int) -> Call:
-    """For the measurement of memory in a fresh process; ``size`` 16 is its rehearsal."""
-    mesh = sphere(triangles if size > 16 else 80)
+    """The call whose memory is measured in a fresh process; at `REHEARSAL` size it draws a small mesh."""
+    mesh = sphere(triangles if size > REHEARSAL else 80)
     return ours(mesh, vertex_normals(*mesh), size)
 
 
@@ -249,87 +261,41 @@ def memory(quick: bool) -> dict[str, float | None]:
     return found
 
 
-def draw(document: dict[str, Any], folder: Path) -> None:
-    """The two figures."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(9, 3.8), layout="constrained")
-    axes = figure.subplots(1, 2, sharey=True)
-    for axis, shape in zip(axes, ("sphere", "torus"), strict=True):
-        rows = [r for r in document["accuracy"] if r["shape"] == shape]
-        for name in dict.fromkeys(r["renderer"] for r in rows):
-            own = [r for r in rows if r["renderer"] == name]
-            style: dict[str, Any] = {"lw": 2.2 if name == OURS else 1.2, "marker": "o", "ms": 4}
-            style |= {"color": "#c2571a", "ls": ":" if name == OURS_FRONT else "-"} if "package" in name else {}
-            axis.plot([r["ms"] for r in own], [r["degrees"] for r in own], label=name, **style)
-        axis.set(
-            xscale="log", yscale="log", xlabel="milliseconds, 512 x 512", title=f"{shape}, 1,280 to 327,680 triangles"
-        )
-        axis.grid(alpha=0.3, which="both")
-    axes[0].set_ylabel("mean error of normals, degrees")
-    axes[0].legend(fontsize=7)
-    figure.savefig(folder / "renderer.png", dpi=130)
-
-    figure = Figure(figsize=(9, 3.6), layout="constrained")
-    axes = figure.subplots(1, 2)
-    for axis, kind, unit in zip(
-        axes, ("triangles", "pixels"), ("triangles at 512 x 512", "pixels, 20,480 triangles"), strict=True
-    ):
-        rows = document["costs"][kind]
-        for key, label, style in (("all", "both sides", "o-"), ("front", "front faces", "o:")):
-            axis.plot([r[kind] for r in rows], [r[key] for r in rows], style, color="#c2571a", ms=4, label=label)
-        last = rows[-1]
-        axis.plot([last[kind] / 30, last[kind]], [last["all"] / 30, last["all"]], color="grey", lw=1, label="linear")
-        axis.set(xscale="log", yscale="log", xlabel=unit, ylabel="milliseconds")
-        axis.grid(alpha=0.3, which="both")
-        axis.legend(fontsize=8)
-    figure.savefig(folder / "renderer_cost.png", dpi=130)
+def comparisons(runs: int, quick: bool) -> dict[str, object]:
+    """`compare` for the meshes and pictures that targets are set for; printed."""
+    found: dict[str, object] = {}
+    for triangles, size in ((20_480, 512),) if quick else ((20_480, 512), (327_680, 1024)):
+        for cull in (False, True):
+            title = f"{triangles} triangles, {size} squared, {'front faces' if cull else 'both sides'}"
+            found[title] = rows = compare(triangles, size, runs, cull=cull)
+            print(f"\n{title}: milliseconds (10 % to 90 %), and ours over it")
+            for name, row in rows.items():
+                print(f"  {name:24}" + "  ".join(f"{k} {v:.2f}" for k, v in row.items() if not isinstance(v, str)))
+    return found
 
 
 def main() -> None:
-    """Measure, print, draw, write."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("-o", "--output", type=Path, default=Path("out/benchmark"))
+    """Measure, print and record."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    sections = ("comparison", "steps", "batches", "memory", "accuracy", "costs")
+    parser.add_argument("--sections", nargs="+", choices=sections, default=sections)
     parser.add_argument("--quick", action="store_true", help="few runs of few sizes")
-    arguments = parser.parse_args()
-    runs = 5 if arguments.quick else 21
-    document: dict[str, Any] = {"threads": torch.get_num_threads(), "torch": torch.__version__, "bars": {}}
-    print(
-        f"{torch.get_num_threads()} threads, torch {torch.__version__}; milliseconds (10 % to 90 %), and ours over it"
-    )
-    for triangles, size in ((20_480, 512),) if arguments.quick else ((20_480, 512), (327_680, 1024)):
-        for cull in (False, True):
-            found, missing = compare(triangles, size, runs, cull=cull)
-            title = f"{triangles} triangles, {size} squared, {'front faces' if cull else 'both sides'}"
-            document["bars"][title], document["missing"] = found, missing
-            print(f"\n{title}")
-            for name, row in found.items():
-                spread = f"({row['10 %']:.1f} to {row['90 %']:.1f})"
-                print(f"  {name:24}{row['ms']:8.1f} {spread:20}{row['ours over it']:8.2f}")
-    for name, why in document["missing"].items():
-        print(f"  {name} left out: {why}")
-    document["shares"] = {"20480, 512": shares(sphere(20_480), 512, runs)}
-    document["batches"] = batches(runs)
-    document["memory_mb"] = memory(arguments.quick)
-    for kind in ("shares", "batches", "memory_mb"):
-        values = document[kind]["20480, 512"] if kind == "shares" else document[kind]
-        print(f"\n{kind}")
-        for name, value in values.items():
-            print(f"  {name:40}" + ("not measured here" if value is None else f"{value:8.1f}"))
-    document["accuracy"] = accuracy(max(3, runs // 3), arguments.quick)
-    print("\nnormals: mean error in degrees, milliseconds")
-    for row in document["accuracy"]:
-        if row["renderer"] in (OURS, OURS_FRONT) or row["triangles"] == 20_480:
-            print(f"  {row['shape']:8}{row['triangles']:8} {row['renderer']:26}{row['degrees']:10.6f}{row['ms']:8.1f}")
-    document["costs"] = costs(runs, arguments.quick)
-    print("\ncost, milliseconds: both sides, front faces")
-    for kind, rows in document["costs"].items():
-        for row in rows:
-            print(f"  {row[kind]:>10.0f} {kind:10}{row['all']:10.1f}{row['front']:10.1f}")
-    arguments.output.mkdir(parents=True, exist_ok=True)
-    (arguments.output / "renderer.json").write_text(json.dumps(document, indent=1), encoding="utf-8")
-    draw(document, arguments.output)
-    print(f"\nwrote {arguments.output / 'renderer.json'}, renderer.png, renderer_cost.png")
+    options = parser.parse_args()
+    quick, runs = options.quick, 5 if options.quick else 21
+    work: dict[str, Callable[[], object]] = {
+        "comparison": lambda: comparisons(runs, quick),
+        "steps": lambda: shares(sphere(20_480), 512, runs),
+        "batches": lambda: batches(runs),
+        "memory": lambda: memory(quick),
+        "accuracy": lambda: accuracy(max(3, runs // 3), quick),
+        "costs": lambda: costs(runs, quick),
+    }
+    for title in options.sections:
+        found = work[title]()
+        if title != "comparison":
+            rows: Iterable[object] = found.items() if isinstance(found, dict) else found  # type: ignore[assignment]
+            print(f"\n{title}", *rows, sep="\n  ")
+        record("benchmark_renderer", {title: found}, quick=[title] if quick else [])
 
 
 if __name__ == "__main__":

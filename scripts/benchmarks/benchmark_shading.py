@@ -1,21 +1,20 @@
-"""How fast the layer is and how much memory it takes, as ratios measured in one run, beside the bars.
+"""Speed and memory of the shading layer, as ratios measured in one run, beside their targets.
 
-    python -m scripts.benchmarks.benchmark_shading [-o FOLDER] [--size 1024] [--quick]
+    python -m scripts.benchmarks.benchmark_shading [--size 1024] [--quick]
 
 Compiled: over the memory floor, a compiled kernel that reads and writes the same bytes and computes next to nothing,
-for a picture that may fit in a processor's cache and for one of 16 times as many pixels.
-Eager: over the classic form in angles as course notes have it (`acos`), which is measured on pictures in planes, as
-image tensors are, and on x, y, z last. Memory: the peak of a fresh process over what it held before the call. ONNX
-Runtime: over eager torch on the same threads, in turns of their own, since its idle threads spin. Half precision:
-over float32. A GPU, if there is one: bytes per second over a copy's. Medians of interleaved runs, least and most in
-brackets. Writes shading.json; needs Linux for the memory.
+for a picture that may fit in a processor's cache and for one of 16 times as many pixels. Eager: over the classic model
+in angles as course notes have it (`acos`), which is measured on pictures in planes, as image tensors are, and on arrays
+with x, y, z last. Memory: the peak of a fresh process over what it held before the call (Linux). ONNX Runtime: over
+eager torch on the same threads, one after the other, since its idle threads spin. Half precision: over float32. A GPU,
+if there is one: bytes per second over those of a copy. Medians of interleaved runs, with the smallest and largest.
+Recorded in results/benchmark_shading.json.
 """
 
 from __future__ import annotations
 
 import argparse
 import functools
-import json
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -26,15 +25,29 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from scripts.benchmarks.baselines import angles, memory_floor
-from scripts.benchmarks.timing import Call, Ratio, both, forward, interleave, peak_bytes, ratio
+from scripts.benchmarks.record import record
+from scripts.benchmarks.timing import (
+    Call,
+    Ratio,
+    allow_recompilations,
+    both,
+    forward,
+    interleave,
+    peak_bytes,
+    ratio,
+)  # fmt: skip
 from torch_orennayar import MODELS, OrenNayar, export_onnx, oren_nayar
 
 CLOSED = [name for name in MODELS if name != "theory"]
-BARS = {
+"""Models in closed form, which are timed on whole pictures."""
+TARGETS = {
     "compiled, forward": {"qualitative": 1.3, "vcavity": 1.8},
     "compiled, forward and backward": {"qualitative": 1.1, "vcavity": 1.6},
 }
-Table = dict[str, object]
+"""Largest ratio aimed at, by measurement and model."""
+SMALL = 32
+"""Height and width of the picture that the slow `theory` is timed on."""
+Table = dict[str, dict[str, Ratio]]
 
 
 def scene(size: int, dtype: torch.dtype = torch.float32, device: str = "cpu") -> list[Tensor]:
@@ -58,10 +71,10 @@ def model(name: str) -> Callable[..., Tensor]:
     return functools.partial(oren_nayar, model=name)
 
 
-def compiled(size: int, runs: int) -> dict[str, dict[str, Ratio]]:
-    """Time over the memory floor's, model by model: one that frees much makes whatever comes next pay for pages."""
-    torch._dynamo.config.recompile_limit = 100  # all entries share one code object
-    parts, found = scene(size), {}
+def compiled(size: int, runs: int) -> Table:
+    """Time over that of the memory floor, model by model: a call that frees much memory slows the one after it."""
+    allow_recompilations()
+    parts, found = scene(size), Table()
     floor = functools.partial(memory_floor, dim=1)
     for kind, make in (("compiled, forward", forward), ("compiled, forward and backward", both)):
         row, floors = found.setdefault(f"{kind}, {size}", {}), []
@@ -77,14 +90,13 @@ def compiled(size: int, runs: int) -> dict[str, dict[str, Ratio]]:
     return found
 
 
-def eager(size: int, runs: int) -> dict[str, dict[str, Ratio]]:
+def eager(size: int, runs: int) -> Table:
     """Time over lambert's forward, and how many times faster than the `acos` code forward and backward."""
     parts = scene(size)
     times = interleave({name: forward(model(name), parts) for name in CLOSED}, runs, "eager, forward")
-    few = 32  # pixels in a row of the picture that the slow theory gets
-    times["theory"] = [t * (size / few) ** 2 for t in interleave({"": forward(model("theory"), scene(few))}, 3)[""]]
-    times["theory"] *= -(-runs // 3)
-    times["theory"] = times["theory"][:runs]
+    slow = interleave({"": forward(model("theory"), scene(SMALL))}, 3)[""]
+    slow = [t * (size / SMALL) ** 2 for t in slow] * -(-runs // 3)
+    times["theory"] = slow[:runs]
     found = {"eager, forward over lambert": {name: ratio(times, name, "lambert") for name in MODELS}}
     found["eager, forward in ms"] = {n: Ratio(median(t), min(t), max(t)) for n, t in times.items()}
     copied = {
@@ -99,13 +111,13 @@ def eager(size: int, runs: int) -> dict[str, dict[str, Ratio]]:
 
 
 def one_light(size: int, name: str, dtype: torch.dtype, make: Callable[..., Call]) -> Call:
-    """``acos`` or a model on one picture."""
+    """``acos`` or a model on one picture, as `peak_bytes` calls it."""
     parts = scene(size, dtype)
     return make(angles, xyz_last(parts, planes=True)) if name == "acos" else make(model(name), parts)
 
 
 def many_lights(size: int, name: str, count: int) -> Call:
-    """Several lights in one call of the layer."""
+    """Several lights in one call of the layer, as `peak_bytes` calls it."""
     parts, layer = scene(size), OrenNayar(name)
     lights = torch.randn(1, count, 3, generator=torch.Generator().manual_seed(1)) + torch.tensor([0, 0, 2])
     lights = F.normalize(lights, dim=-1)
@@ -113,7 +125,7 @@ def many_lights(size: int, name: str, count: int) -> Call:
 
 
 def memory(size: int) -> dict[str, float | None]:
-    """Peaks in MB."""
+    """Peak memory in MB."""
     cases: dict[str, tuple[object, ...]] = {
         f"{name}, forward and backward, {size}": (one_light, size, name, torch.float32, both)
         for name in ("acos", "qualitative", "vcavity")
@@ -126,11 +138,11 @@ def memory(size: int) -> dict[str, float | None]:
     return found | {"its output": 96 * 512 * 512 * 4 / 1e6}
 
 
-def onnx(size: int, runs: int) -> dict[str, dict[str, Ratio]]:
+def onnx(size: int, runs: int) -> Table:
     """Time of ONNX Runtime over eager torch's, on as many threads; roughness a map, and one number."""
     import onnxruntime
 
-    found: dict[str, dict[str, Ratio]] = {}
+    found: Table = {}
     before = torch.get_num_threads()
     for threads in sorted({1, before}):
         torch.set_num_threads(threads)
@@ -147,16 +159,16 @@ def onnx(size: int, runs: int) -> dict[str, dict[str, Ratio]]:
                     session = onnxruntime.InferenceSession(str(file), options, providers=["CPUExecutionProvider"])
                 feeds = {i.name: t.numpy() for i, t in zip(session.get_inputs(), parts, strict=True)}
                 times = interleave({"eager": forward(model(name), parts)}, runs)
-                times |= interleave({"onnx": lambda s=session, f=feeds: s.run(None, f)}, runs)
+                times |= interleave({"onnx": functools.partial(session.run, None, feeds)}, runs)
                 del session
                 row[name] = ratio(times, "onnx", "eager")
     torch.set_num_threads(before)
     return found
 
 
-def half(size: int, runs: int) -> dict[str, dict[str, Ratio]]:
+def half(size: int, runs: int) -> Table:
     """Eager forward time of half precision over that of float32."""
-    found = {}
+    found: Table = {}
     for name in CLOSED:
         calls = {str(d): forward(model(name), scene(size, d)) for d in (torch.float32, torch.float16, torch.bfloat16)}
         times = interleave(calls, runs)
@@ -167,8 +179,8 @@ def half(size: int, runs: int) -> dict[str, dict[str, Ratio]]:
     return found
 
 
-def gpu(size: int, runs: int) -> dict[str, dict[str, Ratio]]:
-    """Bytes per second of the compiled layer over those of a copy on the device."""
+def gpu(size: int, runs: int) -> Table:
+    """Bytes per second of the compiled layer over those of a copy on the GPU."""
     parts = scene(size, device="cuda")
     calls: dict[str, Call] = {n: forward(torch.compile(model(n), fullgraph=True), parts) for n in CLOSED}
     block = torch.empty(3, size, size, device="cuda")  # read and written: as many bytes as five maps in and one out
@@ -177,28 +189,28 @@ def gpu(size: int, runs: int) -> dict[str, dict[str, Ratio]]:
     return {"GPU, compiled: bytes per second over a copy's": {n: ratio(times, "copy", n) for n in CLOSED}}
 
 
-def show(results: dict[str, dict[str, Ratio]]) -> None:
-    """Tables, with the bars."""
+def show(results: Table) -> None:
+    """Print the ratios beside their targets."""
     for kind, row in results.items():
         print(f"\n{kind}")
         for name, value in row.items():
-            bar = BARS.get(kind.rpartition(",")[0], {}).get(name)
-            print(f"  {name:26}{value}" + (f"   bar {bar}" if bar else ""))
+            target = TARGETS.get(kind.rpartition(",")[0], {}).get(name)
+            print(f"  {name:26}{value}" + (f"   target {target}" if target else ""))
 
 
 def main() -> None:
-    """Measure, print, write."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("-o", "--output", type=Path, default=Path("out/benchmark"))
+    """Measure, print and record."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--size", type=int, default=1024, help="height and width of the picture")
     parser.add_argument("--quick", action="store_true", help="few runs")
-    arguments = parser.parse_args()
-    size, runs = arguments.size, 5 if arguments.quick else 21
-    results: dict[str, dict[str, Ratio]] = {}
+    options = parser.parse_args()
+    size, runs = options.size, 5 if options.quick else 21
+    results: Table = {}
     for measure in (compiled, eager, half, onnx):
         results |= measure(size, runs)
-    results |= compiled(4 * size, max(runs // 4, 3))  # out of any cache
-    if torch.cuda.is_available():
+    results |= compiled(4 * size, max(runs // 4, 3))  # larger than any cache
+    device = "cuda" if torch.cuda.is_available() else "cpu"
+    if device == "cuda":
         results |= gpu(4 * size, runs)
     print(f"{size} x {size}, {torch.get_num_threads()} threads, torch {torch.__version__}: median (least to most)")
     show(results)
@@ -206,17 +218,15 @@ def main() -> None:
     print("\nmemory, MB")
     for name, value in peaks.items():
         print(f"  {name:46}" + ("not measured here" if value is None else f"{value:8.1f}"))
-    document = {
-        "size": size,
-        "threads": torch.get_num_threads(),
-        "torch": torch.__version__,
-        "ratios": {kind: {n: r._asdict() for n, r in row.items()} for kind, row in results.items()},
-        "bars": BARS,
-        "memory_mb": peaks,
+    sections = {
+        "ratios": {
+            "size": size,
+            "targets": TARGETS,
+            "found": {kind: {name: r._asdict() for name, r in row.items()} for kind, row in results.items()},
+        },
+        "memory": {"size": size, "MB": peaks},
     }
-    arguments.output.mkdir(parents=True, exist_ok=True)
-    (arguments.output / "shading.json").write_text(json.dumps(document, indent=1), encoding="utf-8")
-    print(f"\nwrote {arguments.output / 'shading.json'}")
+    record("benchmark_shading", sections, quick=list(sections) if options.quick else [], device=device)
 
 
 if __name__ == "__main__":

@@ -1,15 +1,16 @@
-"""Accuracy against speed: every model in MODELS and the formulas people copy, on one chart.
+"""Accuracy against speed of every model in MODELS and of the formulas that people copy.
 
     python -m scripts.benchmarks.chart_reflectance [-o FOLDER] [--size 1024] [--plugin FILE.py]
 
 Error: shading over albedo against the V-cavity theory, by this package's quadrature (scripts/fit/theory_reference.py):
 RMS and maximum over 2000 cosine-weighted pairs of light and view, RMS over 1000 retro-grazing ones; roughness 5 to 60
 degrees, albedo 0.2, 0.5, 0.9; against all bounces and against two. Time: one megapixel, eager, compiled and in ONNX
-Runtime, forward and with all gradients, medians of interleaved runs on this machine. Where TORCH_ORENNAYAR_DATA points
-at measured materials: each model's best fit to them, and for how many it is the simplest sufficient one.
+Runtime, forward and with all gradients, medians of interleaved runs. Where TORCH_ORENNAYAR_DATA points at measured
+materials: the best fit of each model to them, and for how many it is the simplest sufficient one.
 
-Writes reflectance.png, .svg, .json and a page with hover, reflectance.html; cylinder.png, the brightness across a matte
-cylinder; materials.png. A plug-in is a file that registers models of its own (examples/custom_reflectance.py).
+Records results/chart_reflectance.json, from which `scripts.benchmarks.charts` draws reflectance.png. Writes a page with
+hover, reflectance.html; cylinder.png, the brightness across a matte cylinder; materials.png. A plug-in is a file that
+registers models of its own (examples/custom_reflectance.py); runs with plug-ins are not recorded.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from statistics import median
+from typing import TypedDict
 
 import numpy as np
 import torch
@@ -31,16 +33,24 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from scripts.benchmarks.baselines import BASELINES, memory_floor
-from scripts.benchmarks.materials import fit_materials
-from scripts.benchmarks.timing import Call, both, forward, interleave
+from scripts.benchmarks.charts import frontier
+from scripts.benchmarks.markdown import aligned, fixed
+from scripts.benchmarks.materials import MaterialFit, fit_materials
+from scripts.benchmarks.record import record
+from scripts.benchmarks.timing import Call, allow_recompilations, both, forward, interleave
 from scripts.fit.theory_reference import Directions, cosine_weighted, grazing, theory
 from torch_orennayar import MODELS, export_onnx, linear_to_srgb, oren_nayar
 from torch_orennayar.core.progress import track
 from torch_orennayar.export.nodes import quiet
 
 ROUGHNESS = (5, 10, 20, 30, 40, 50, 60)
+"""Degrees at which errors are measured."""
 ALBEDO = (0.2, 0.5, 0.9)
+"""Albedos at which errors are measured: dark, middle and bright."""
 RUNS = 15
+"""Interleaved runs of which a time is the median."""
+SMALL = 32
+"""Height and width of the picture that the slow `theory` is timed on."""
 Shade = Callable[[Tensor, Tensor, Tensor, Tensor, Tensor], Tensor]
 
 
@@ -63,11 +73,21 @@ def vectors(pairs: Directions) -> tuple[Tensor, Tensor, Tensor]:
     return torch.tensor([0.0, 0.0, 1.0], dtype=light.dtype).expand_as(light), light, view
 
 
-def measure_errors() -> dict[str, dict[str, object]]:
+class ModelError(TypedDict, total=False):
+    """Error of one entry against the theory."""
+
+    rms: float
+    max: float
+    grazing: float
+    rms_two_bounces: float
+    cells: list[list[float]]
+
+
+def measure_errors() -> dict[str, ModelError]:
     """Per entry: RMS, maximum and grazing RMS against all bounces, RMS against two, and RMS by roughness and albedo."""
     rho = torch.tensor(ALBEDO, dtype=torch.float64)
     sigma = torch.tensor(ROUGHNESS, dtype=torch.float64).deg2rad()
-    found: dict[str, dict[str, object]] = {name: {} for name in shaders()}
+    found: dict[str, ModelError] = {name: {} for name in shaders()}
     for kind, pairs in (("hemisphere", cosine_weighted(2000, 11)), ("grazing", grazing(1000, 12))):
         bounces = theory(pairs, sigma, rho, f"theory, {kind}") * pairs.ci[:, None, None]  # (S, N, K, 3)
         every, two = bounces.sum(-1), bounces[..., :2].sum(-1)
@@ -83,12 +103,10 @@ def measure_errors() -> dict[str, dict[str, object]]:
                 found[name]["grazing"] = _rms(error)
                 continue
             cells = error.square().mean(1).sqrt()
-            found[name] |= {
-                "rms": _rms(error),
-                "max": error.abs().max().item(),
-                "rms_two_bounces": _rms(value - two),
-                "cells": [[float(f"{c:.5f}") for c in row] for row in cells.tolist()],
-            }
+            found[name]["rms"] = _rms(error)
+            found[name]["max"] = error.abs().max().item()
+            found[name]["rms_two_bounces"] = _rms(value - two)
+            found[name]["cells"] = [[float(f"{c:.5f}") for c in row] for row in cells.tolist()]
     return found
 
 
@@ -141,13 +159,14 @@ def _onnx_runner(name: str, shade: Shade, scene: list[Tensor]) -> Call:
 
 
 KINDS = ("eager forward", "eager both", "compiled forward", "compiled both", "onnx")
+"""What is timed; \"both\" is forward and the gradients of all inputs."""
 
 
 def measure_times(size: int) -> dict[str, dict[str, float]]:
     """Milliseconds per million pixels: per kind and entry, with the floor among the compiled ones."""
-    torch._dynamo.config.recompile_limit = 100  # all entries share one code object
+    allow_recompilations()
     scene, million = _scene(size), size * size / 1e6
-    small = _scene(32)
+    small = _scene(SMALL)
     entries = shaders()
     times: dict[str, dict[str, float]] = {name: {} for name in (*entries, "floor")}
     for kind in track(KINDS, "timing"):
@@ -159,18 +178,8 @@ def measure_times(size: int) -> dict[str, dict[str, float]]:
             calls = {n: _runner(kind, f, small if n == "theory" else scene) for n, f in timed.items()}
             taken = interleave(calls, RUNS)
         for name, milliseconds in taken.items():
-            times[name][kind] = median(milliseconds) / (32 * 32 / 1e6 if name == "theory" else million)
+            times[name][kind] = median(milliseconds) / (SMALL * SMALL / 1e6 if name == "theory" else million)
     return times
-
-
-def frontier(points: dict[str, tuple[float, float]]) -> list[str]:
-    """Names that no other beats in both coordinates, by the first."""
-    best, names = math.inf, []
-    for name, (_, error) in sorted(points.items(), key=lambda item: item[1]):
-        if error < best:
-            best = error
-            names.append(name)
-    return names
 
 
 def describe() -> dict[str, dict[str, str]]:
@@ -204,41 +213,6 @@ def describe() -> dict[str, dict[str, str]]:
     }
 
 
-def draw_chart(data: dict[str, dict], path: Path) -> None:  # type: ignore[type-arg]
-    """Error against time with the frontier, and error by roughness."""
-    from matplotlib.figure import Figure
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
-    figure = Figure(figsize=(13, 5.2), layout="constrained")
-    axes = figure.subplots(1, 3, width_ratios=(1.15, 1.15, 1))
-    for axis, kind in zip(axes, ("compiled forward", "eager both"), strict=False):
-        points = {n: (d["time"][kind], d["error"]["rms"]) for n, d in data.items() if kind in d["time"]}
-        edge = [points[n] for n in frontier(points)]
-        axis.step(*zip(*edge, strict=True), where="post", color="#c2571a", lw=1.2, alpha=0.6, label="frontier")
-        for name, (x, y) in points.items():
-            model = data[name]["about"]["kind"] == "model"
-            axis.plot(x, y, "o" if model else "x", color="#1b3a6b" if model else "#999", ms=6)
-            place = {"xytext": (6, 4)} if model else {"xytext": (-6, -4), "ha": "right"}
-            axis.annotate(name, (x, y), **place, textcoords="offset points", fontsize=8, color="k" if model else "#777")
-        axis.set(xscale="log", yscale="log", xlabel="ms per megapixel", ylabel="RMS error, all bounces")
-        for ruler in (axis.xaxis, axis.yaxis):
-            ruler.set_major_locator(LogLocator(subs=(1, 2, 5)))
-            ruler.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-            ruler.set_minor_formatter(NullFormatter())
-        axis.set_title({"compiled forward": "torch.compile, forward", "eager both": "eager, with gradients"}[kind])
-        axis.grid(alpha=0.2, which="both")
-        axis.margins(x=0.15)
-    for name, d in data.items():
-        if d["about"]["kind"] == "model" and name != "theory":
-            axes[2].plot(ROUGHNESS, np.sqrt(np.square(d["error"]["cells"]).mean(1)), ".-", label=name)
-    axes[2].set(yscale="log", xlabel="roughness in degrees", ylabel="RMS error over albedo 0.2, 0.5, 0.9")
-    axes[2].set_title("error by roughness")
-    axes[2].legend(fontsize=8)
-    axes[2].grid(alpha=0.2, which="both")
-    for suffix in (".png", ".svg"):
-        figure.savefig(path.with_suffix(suffix), dpi=130)
-
-
 def draw_cylinder(path: Path, sigma: float = math.radians(40), rho: float = 0.8) -> None:
     """Brightness across a matte cylinder lit from the camera, in linear light and as a screen shows it."""
     from matplotlib.figure import Figure
@@ -268,85 +242,101 @@ def draw_cylinder(path: Path, sigma: float = math.radians(40), rho: float = 0.8)
     figure.savefig(path, dpi=130)
 
 
-def draw_materials(found: dict[str, dict], path: Path) -> None:  # type: ignore[type-arg]
-    """What roughness gains on measured materials, and for how many each model is the simplest that suffices."""
+def draw_materials(found: dict[str, MaterialFit], path: Path) -> None:
+    """What roughness gains on measured materials, and for how many each model is the simplest sufficient one."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(11, 4), layout="constrained")
     left, right = figure.subplots(1, 2)
-    flat = np.array([row[1] for row in found["lambert"]["materials"].values()])
+    flat = np.array([row[1] for row in found["lambert"].materials.values()])
     for name, d in found.items():
         if name != "lambert":
-            gain = flat - np.array([row[1] for row in d["materials"].values()])
+            gain = flat - np.array([row[1] for row in d.materials.values()])
             left.plot(np.sort(gain)[::-1][:60] * 100, label=name)
     left.set(xlabel="materials, most helped first (60 of 151)", ylabel="relative RMS below Lambert's, in points")
     left.set_title("what roughness gains, highlight fitted too")
     left.legend(fontsize=8)
     left.grid(alpha=0.2)
     names = list(found)[::-1]
-    bars = right.barh(names, [found[n]["simplest for"] for n in names], color="#1b3a6b")
+    bars = right.barh(names, [len(found[n].simplest_for) for n in names], color="#1b3a6b")
     right.bar_label(bars, padding=3, fontsize=9)
     right.set_title("materials for which it is the simplest sufficient model")
     right.spines[["top", "right"]].set_visible(False)
     figure.savefig(path, dpi=130)
 
 
-def write_page(data: dict[str, dict], path: Path) -> None:  # type: ignore[type-arg]
-    """A self-contained page: choose the measures, hover for the figures."""
+def write_page(document: dict[str, object], path: Path) -> None:
+    """A self-contained page: choose the measures, hover for the numbers."""
     template = (Path(__file__).parent / "chart_template.html").read_text(encoding="utf-8")
-    path.write_text(template.replace("/*DATA*/", json.dumps(data).replace("</", "<\\/")), encoding="utf-8")
+    path.write_text(template.replace("/*DATA*/", json.dumps(document).replace("</", "<\\/")), encoding="utf-8")
 
 
-def print_table(data: dict[str, dict], floor_ms: dict[str, float]) -> None:  # type: ignore[type-arg]
-    """The figures that the README quotes."""
-    print(f"{'':18}{'RMS':>8}{'max':>8}{'grazing':>9}{'2-bounce':>10}" + "".join(f"{k:>18}" for k in KINDS))
-    for name, d in data.items():
-        e, t = d["error"], d["time"]
-        line = f"{name:18}{e['rms']:8.4f}{e['max']:8.3f}{e['grazing']:9.4f}{e['rms_two_bounces']:10.4f}"
-        print(line + "".join(f"{t[k]:18.2f}" if k in t else f"{'-':>18}" for k in KINDS))
-    print("memory floor, compiled: " + ", ".join(f"{k} {v:.2f} ms" for k, v in floor_ms.items()))
+def print_table(errors: dict[str, ModelError], times: dict[str, dict[str, float]]) -> None:
+    """Errors and times of every entry, and the frontiers."""
+    body = [
+        [name, f"{e['rms']:.4f}", f"{e['max']:.3f}", f"{e['grazing']:.4f}", f"{e['rms_two_bounces']:.4f}"]
+        + [fixed(times[name].get(kind), 2) for kind in KINDS]
+        for name, e in errors.items()
+    ]
+    print(aligned(["", "RMS", "maximum", "grazing", "two bounces", *KINDS], body))
+    print("memory floor, compiled: " + ", ".join(f"{k} {v:.2f} ms" for k, v in times["floor"].items()))
     for kind in KINDS:
-        points = {n: (d["time"][kind], d["error"]["rms"]) for n, d in data.items() if kind in d["time"]}
+        points = {n: (times[n][kind], e["rms"]) for n, e in errors.items() if kind in times[n]}
         print(f"frontier, {kind}: {', '.join(frontier(points))}")
 
 
+def summarise_materials(found: dict[str, MaterialFit]) -> dict[str, dict[str, object]]:
+    """What tables print of the fits: medians, and for which materials a model is the simplest sufficient one."""
+    flat = found["lambert"].materials
+    return {
+        name: {
+            "median": fit.median,
+            "median with lobe": fit.median_with_lobe,
+            "simplest for": len(fit.simplest_for),
+            "largest gain over lambert": max((flat[m][1] - fit.materials[m][1] for m in fit.simplest_for), default=0.0),
+        }
+        for name, fit in found.items()
+    }
+
+
 def main() -> None:
-    """Measure, draw, write, print."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    """Measure, draw, record and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("-o", "--output", type=Path, default=Path("out/reflectance"))
     parser.add_argument("--size", type=int, default=1024, help="height and width of the timed picture")
     parser.add_argument("--plugin", type=Path, action="append", default=[], help="a file that registers models")
-    arguments = parser.parse_args()
-    for plugin in arguments.plugin:
+    options = parser.parse_args()
+    for plugin in options.plugin:
         sys.path.insert(0, str(plugin.resolve().parent))
         importlib.import_module(plugin.stem)  # a real module: the compiler looks its functions up by name
-    arguments.output.mkdir(parents=True, exist_ok=True)
-    errors, times, about = measure_errors(), measure_times(arguments.size), describe()
-    data = {name: {"about": about[name], "error": errors[name], "time": times[name]} for name in errors}
-    target = arguments.output / "reflectance"
-    document: dict[str, object] = {
-        "roughness_degrees": ROUGHNESS,
-        "albedo": ALBEDO,
-        "pixels": arguments.size**2,
+    options.output.mkdir(parents=True, exist_ok=True)
+    errors, times, about = measure_errors(), measure_times(options.size), describe()
+    head = {"roughness_degrees": ROUGHNESS, "albedo": ALBEDO, "pixels": options.size**2, "floor_ms": times["floor"]}
+    page: dict[str, object] = head | {
         "threads": torch.get_num_threads(),
-        "torch": torch.__version__,
-        "floor_ms": times["floor"],
-        "entries": data,
+        "entries": {name: {"about": about[name], "error": errors[name], "time": times[name]} for name in errors},
     }
+    sections: dict[str, object] = {
+        "models": head
+        | {"entries": {n: {"kind": about[n]["kind"], **errors[n], "time": times[n]} for n in errors}}
+    }  # fmt: skip
     measured = Path(os.environ.get("TORCH_ORENNAYAR_DATA", "")) / "measured_brdf" / "measured_brdf.npz"
     if measured.is_file():
-        document["materials"] = materials = fit_materials(measured)
-        draw_materials(materials, arguments.output / "materials.png")
-    target.with_suffix(".json").write_text(json.dumps(document, indent=1), encoding="utf-8")
-    draw_chart(data, target)
-    draw_cylinder(arguments.output / "cylinder.png")
-    write_page(document, target.with_suffix(".html"))  # type: ignore[arg-type]
-    print_table(data, times["floor"])
-    for name, m in document.get("materials", {}).items():  # type: ignore[attr-defined]
-        print(
-            f"materials, {name:18} median relative RMS {m['median']:.3f}, simplest sufficient for {m['simplest for']}"
-        )
-    print(f"wrote {target}.png, .svg, .json, .html")
+        materials = fit_materials(measured)
+        draw_materials(materials, options.output / "materials.png")
+        sections["materials"] = summary = summarise_materials(materials)
+        page["materials"] = {
+            n: {"median": fit.median, "median with lobe": fit.median_with_lobe, "materials": fit.materials,
+                "simplest for": len(fit.simplest_for)}
+            for n, fit in materials.items()
+        }  # fmt: skip
+        print(aligned(["materials", *next(iter(summary.values()))],
+                      [[n, *(f"{v:.4g}" for v in row.values())] for n, row in summary.items()]))  # fmt: skip
+    draw_cylinder(options.output / "cylinder.png")
+    write_page(page, options.output / "reflectance.html")
+    print_table(errors, times)
+    if not options.plugin:
+        record("chart_reflectance", sections)
 
 
 if __name__ == "__main__":

@@ -2,27 +2,27 @@
 
     python -m scripts.benchmarks.evaluate_integration [FOLDER...] [--output out/integration] [--megapixels 4]
 
-Each FOLDER holds `normal_map.png`, `mask.png`, `K.txt` and `depth_gt.npz` in millimetres; printed are the mean absolute
-depth error up to scale, that of plain least squares (no depth edges), and what bilateral normal integration is reported
-to reach. With $TORCH_ORENNAYAR_DATA set, meshes in its `meshes` are rendered from ten sides, too. Then one map of a
-number of megapixels. Writes integration.json and a picture of the errors.
+Each FOLDER holds `normal_map.png`, `mask.png`, `K.txt` and `depth_gt.npz` in millimetres. `objects` are the mean
+absolute depth error up to scale, that of plain least squares (no depth edges), and what bilateral normal integration is
+reported to reach. With $TORCH_ORENNAYAR_DATA set, the `meshes` there are rendered from ten sides too, and `sharpness`
+is the error by the constant that was chosen on them. `large` is one map of a number of megapixels. Recorded in
+results/evaluate_integration.json; pictures of the errors go to the output folder.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import os
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from scripts.benchmarks.record import record
 from scripts.benchmarks.timing import alone, forget_peak, peak_memory
 from torch_orennayar import Camera, decode_normals, integrate_normals, load_mesh, render_normals
 from torch_orennayar.geometry import integrate
@@ -30,13 +30,17 @@ from torch_orennayar.io.figures import save_maps
 from torch_orennayar.io.images import read_image
 
 QUOTED = {"cat": 0.074, "pot1": 0.635, "reading": 0.257}
-"""Millimetres, Cao et al. 2022 as quoted with the data."""
+"""Millimetres, bilateral normal integration (Cao et al. 2022) as quoted with the data."""
 VIEWS = (
     ("stanford-bunny", 23, 17), ("stanford-bunny", 143, 6), ("suzanne", 34, 11), ("suzanne", -52, -11),
     ("teapot", 46, 23), ("teapot", 126, 40), ("spot", 52, 11), ("spot", 149, 17), ("nefertiti", 40, 6),
     ("nefertiti", 103, 11),
 )  # fmt: skip
 """Mesh, azimuth and elevation in degrees."""
+
+
+COARSE = 20_000
+"""Faces below which a mesh is subdivided."""
 
 
 class Case:
@@ -54,16 +58,16 @@ class Case:
 def from_folder(folder: Path) -> Case:
     """A capture with true depth."""
     colours = torch.from_numpy(read_image(folder / "normal_map.png").astype(np.float64) / 65535).permute(2, 0, 1)
-    mask = torch.from_numpy(read_image(folder / "mask.png") > 0)[None]
+    mask = torch.from_numpy(np.asarray(read_image(folder / "mask.png")) > 0)[None]
     depth = torch.from_numpy(np.load(folder / "depth_gt.npz")["depth_gt"])[None].double()
-    camera = Camera.from_intrinsics(torch.from_numpy(np.loadtxt(folder / "K.txt")), mask.shape[1:])
+    camera = Camera.from_intrinsics(torch.from_numpy(np.loadtxt(folder / "K.txt")), (mask.shape[1], mask.shape[2]))
     return Case(folder.name, decode_normals(colours), mask, camera, depth)
 
 
 def from_mesh(file: Path, azimuth: float, elevation: float, size: int = 256) -> Case:
-    """A mesh of one radius seen from 20 radii away; depth in pixels of that distance."""
+    """A mesh scaled to radius 1, seen from 20 radii away; depth in pixels at that distance."""
     vertices, faces = load_mesh(file)
-    if len(faces) < 20_000:  # so coarse that smooth normals are not those of the surface
+    if len(faces) < COARSE:  # on coarse meshes, smooth normals are not those of the surface
         import trimesh
 
         fine = trimesh.Trimesh(vertices.numpy(), faces.numpy()).subdivide_loop(2)
@@ -79,7 +83,7 @@ def from_mesh(file: Path, azimuth: float, elevation: float, size: int = 256) -> 
 
 
 def least_squares(case: Case) -> Tensor:
-    """The same chords, all of them trusted."""
+    """The same equations, all with the same weight."""
     kept = integrate.SHARPNESS, integrate.STEPS, integrate.LAST_STEPS
     integrate.SHARPNESS, integrate.STEPS, integrate.LAST_STEPS = (1e-12, 1e-12), 1, 1
     try:
@@ -104,7 +108,7 @@ def measure(case: Case) -> dict[str, float]:
 
 
 def by_sharpness(cases: Sequence[Case]) -> dict[float, float]:
-    """Geometric mean of the errors by the last sharpness: how the constant was chosen."""
+    """Geometric mean of the errors by the last value of `integrate.SHARPNESS`, which was chosen by it."""
     curve, kept = {}, integrate.SHARPNESS
     for sharpness in (1.0, 2.0, 4.0, 8.0, 16.0, 32.0):
         integrate.SHARPNESS = (kept[0], sharpness)
@@ -114,8 +118,8 @@ def by_sharpness(cases: Sequence[Case]) -> dict[float, float]:
     return curve
 
 
-def large(megapixels: float) -> tuple[float, float, float]:
-    """Seconds, peak memory in GB and largest error in pixels on a wavy sheet with a raised disc."""
+def large(megapixels: float) -> dict[str, float]:
+    """Seconds, peak memory in GB and largest error in pixels on a wavy sheet."""
     size = round(math.sqrt(megapixels * 1e6))
     row, column = torch.meshgrid(*[torch.linspace(-1, 1, size, dtype=torch.float64)] * 2, indexing="ij")
     w, amplitude = 4.0, size / 30
@@ -128,46 +132,51 @@ def large(megapixels: float) -> tuple[float, float, float]:
     found = integrate_normals(normal)[0]
     seconds = time.perf_counter() - begun
     error = (found - found.mean()) - (height - height.mean())
-    return seconds, peak_memory() / 2**30, error.abs().max().item()
+    memory = peak_memory() / 2**30
+    return {"megapixels": megapixels, "seconds": seconds, "GB": memory, "error": error.abs().max().item()}
+
+
+def measure_all(cases: Sequence[Case]) -> dict[str, dict[str, float]]:
+    """Errors and seconds by case; printed."""
+    rows = {}
+    for case in cases:
+        row = rows[case.name] = measure(case)
+        print(f"{case.name:30}" + "  ".join(f"{key} {value:.4g}" for key, value in row.items()))
+    return rows
+
+
+def draw_errors(folder: Path, case: Case) -> None:
+    """A picture of the depth errors of one object."""
+    found = case.error(integrate_normals(case.normal, case.mask, camera=case.camera))
+    maps = {"least squares": case.error(least_squares(case)), "integrate_normals": found}
+    save_maps(folder / f"{case.name}.png", maps, case.mask, unit="mm", top=2 * found[case.mask].mean().item())
 
 
 def main() -> None:
-    """Measure, print, draw."""
+    """Measure, print, record and draw."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folders", nargs="*", type=Path)
     parser.add_argument("--output", type=Path, default=Path("out/integration"))
     parser.add_argument("--megapixels", type=float, default=4.0)
     options = parser.parse_args()
     options.output.mkdir(parents=True, exist_ok=True)
+    sections: dict[str, object] = {}
     real = [from_folder(folder) for folder in options.folders]
+    if real:
+        rows = measure_all(real)
+        quoted = {name: {"reported": value} for name, value in QUOTED.items()}
+        sections["objects"] = {name: row | quoted.get(name, {}) for name, row in rows.items()}
     meshes = Path(os.environ.get("TORCH_ORENNAYAR_DATA", "none")) / "meshes"
-    made = [from_mesh(meshes / f"{name}.obj", *angles) for name, *angles in VIEWS] if meshes.is_dir() else []
-    document: dict[str, Any] = {"quoted": QUOTED}
-    for title, cases in (("objects, mm", real), ("meshes, pixels", made)):
-        document[title] = {}
-        for case in cases:
-            row = document[title][case.name] = measure(case)
-            quoted = QUOTED.get(case.name) if case in real else None
-            print(
-                f"{case.name:30}{row['pixels']:8} pixels  error {row['error']:7.3f}  median {row['median']:7.3f}  "
-                f"least squares {row['least squares']:7.3f}  {row['seconds']:5.2f} s"
-                + (f"  reported {quoted:.3f}" if quoted else "")
-            )
-    if made:
-        document["by sharpness"] = by_sharpness(made)
-        listed = ", ".join(f"{k:g}: {v:.2f}" for k, v in document["by sharpness"].items())
-        print(f"geometric mean of the meshes' errors by the last sharpness: {listed}")
-    seconds, memory, error = alone(large, options.megapixels)
-    print(f"{options.megapixels:g} megapixels: {seconds:.1f} s, peak {memory:.2f} GB, largest error {error:.3f} pixels")
-    document["large"] = {"megapixels": options.megapixels, "seconds": seconds, "GB": memory, "error": error}
+    if meshes.is_dir():
+        views = [from_mesh(meshes / f"{name}.obj", *angles) for name, *angles in VIEWS]
+        sections["meshes"] = measure_all(views)
+        sections["sharpness"] = curve = by_sharpness(views)
+        print("geometric mean of the meshes' errors by the last sharpness:", curve)
+    sections["large"] = found = alone(large, options.megapixels)
+    print("  ".join(f"{key} {value:.4g}" for key, value in found.items()))
+    record("evaluate_integration", sections)
     for case in real:
-        found = case.error(integrate_normals(case.normal, case.mask, camera=case.camera))
-        plain = case.error(least_squares(case))
-        maps = {"least squares": plain, "integrate_normals": found}
-        save_maps(
-            options.output / f"{case.name}.png", maps, case.mask, unit="mm", top=2 * found[case.mask].mean().item()
-        )
-    (options.output / "integration.json").write_text(json.dumps(document, indent=2) + "\n")
+        draw_errors(options.output, case)
 
 
 if __name__ == "__main__":

@@ -1,30 +1,34 @@
-"""Accuracy and speed of photometric stereo, on captures that come with true normals and on rendered ones.
+"""Accuracy and speed of photometric stereo on captures with true normals, photographed and rendered.
 
-    python -m scripts.benchmarks.evaluate_stereo [FOLDER...] [--output out/stereo] [--quick]
+    python -m scripts.benchmarks.evaluate_stereo [FOLDER...] [--sections NAME...] [--quick]
 
-Per object and method: mean and median angular error, seconds, and what `auto` chose. Without folders,
-and with them too, a rendered benchmark (`rendered_captures.py`: objects x measured materials x shadows). Beside this
-package's own solvers stand those of others, written from their papers (`robust_baselines.py`). Then, on the first
-folder or the first rendered capture: error with few lights, with wrong lights and with wrong intensities, and error
-against predicted error. Writes stereo.json and pictures, prints tables.
+Sections: `photographs` solves every FOLDER by every method, `rendered` a set of rendered captures (objects x measured
+materials x cast shadows, `tests/support/rendered_captures.py`). Beside this package's solvers stand other people's,
+written from their papers (`robust_baselines.py`). `few lights` and `wrong calibration` take the second folder, or the
+first rendered capture: error with fewer lights, with wrong light directions and with wrong intensities. `confidence`
+compares error with predicted error. `near lights`, `two roughnesses` and `light between parts` render captures of their
+own; `memory` is the peak of a process that solves a folder. Default: all of them; what is measured is recorded in
+results/evaluate_stereo.json section by section. ``--quick`` renders fewer and smaller captures and draws each set of
+few lights once.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
-import numpy as np
 import torch
 import torch.nn.functional as F
 from scipy.stats import spearmanr
 from torch import Tensor
 
+from scripts.benchmarks.markdown import aligned, mean_of
+from scripts.benchmarks.record import record
 from scripts.benchmarks.robust_baselines import SOLVERS
 from scripts.benchmarks.timing import alone, forget_peak, peak_memory
 from tests.support import rendered_captures
@@ -43,6 +47,8 @@ from torch_orennayar.stereo.material import Material
 from torch_orennayar.stereo.material_selection import condition
 
 Solve = Callable[[Tensor, Tensor, Tensor], Reconstruction]
+Rows = dict[str, dict[str, object]]
+Curves = dict[str, dict[float, float]]
 METHODS: dict[str, Solve] = {
     "least squares": lambda images, lights, mask: photometric_stereo(
         images, lights, mask, model="lambert", robust=False
@@ -53,24 +59,30 @@ METHODS: dict[str, Solve] = {
     "network": lambda images, lights, mask: photometric_stereo(images, lights, mask, model="network"),
     "auto": lambda images, lights, mask: photometric_stereo(images, lights, mask),
 }
-QUOTED = {
-    "ball": {"ST14": 1.74, "neural 2018": 1.47, "CNN-PS": 2.2, "LINO": 1.74},
-    "cat": {"ST14": 6.12, "neural 2018": 5.44, "CNN-PS": 4.6, "LINO": 3.38},
-    "reading": {"ST14": 13.63, "neural 2018": 11.03, "CNN-PS": 12.6, "LINO": 6.67},
-}
-"""Mean angular errors in degrees as published: CNN-PS and LINO are trained, the others are not."""
-SHOWN = ("alumina-oxide", "blue-rubber", "gold-metallic-paint", "laika_ceiling_paint_18_gray", "satin_white")
+"""This package's solvers by the name that tables print."""
+SHOWN = ("alumina-oxide", "blue-rubber")
+"""Measured materials of the quick set: a glossy one and a rough one."""
+LARGEST_CONDITION = 8
+"""Condition number above which a random draw of lights does not span space well enough to compare solvers with."""
 
 
-class Photographs:
-    """Images, lights, mask and truth of one object."""
+class Photographs(NamedTuple):
+    """Images (K, C, H, W), lights (K, 3), mask (1, H, W) and true normals (3, H, W) of one object."""
 
-    def __init__(self, name: str, images: Tensor, lights: Tensor, mask: Tensor, normal: Tensor) -> None:
-        self.name, self.images, self.lights, self.mask, self.normal = name, images, lights, mask, normal
+    name: str
+    images: Tensor
+    lights: Tensor
+    mask: Tensor
+    normal: Tensor
 
-    def error(self, found: Reconstruction) -> Tensor:
-        """Degrees inside the mask."""
-        return angular_error(found.normal, self.normal, self.mask).as_subclass(Tensor)[self.mask]
+    def error(self, found: Tensor) -> Tensor:
+        """Angles in degrees between normals (3, H, W) and the true ones, inside the mask."""
+        return angular_error(found, self.normal, self.mask).as_subclass(Tensor)[self.mask]
+
+    def mean_error(self, method: str, images: Tensor | None = None, lights: Tensor | None = None) -> float:
+        """Mean error of a method on this object, with other images or lights if given."""
+        given = self.images if images is None else images, self.lights if lights is None else lights
+        return self.error(METHODS[method](*given, self.mask).normal).nanmean().item()
 
 
 def from_folder(folder: str) -> Photographs:
@@ -82,37 +94,42 @@ def from_folder(folder: str) -> Photographs:
     return Photographs(name, capture.images, capture.lights, capture.mask, capture.normal)
 
 
+def from_rendered(name: str, capture: rendered_captures.Rendered) -> Photographs:
+    """A rendered capture under a name."""
+    return Photographs(name, capture.images, capture.lights, capture.mask, capture.normal)
+
+
 def rendered_set(quick: bool) -> list[Photographs]:
-    """Every object in every material."""
+    """Every object in every material, or fewer and smaller ones."""
     objects = rendered_captures.objects()
-    materials = {k: v for k, v in rendered_captures.MATERIALS.items() if not quick or k in SHOWN[:2]}
+    materials = {k: v for k, v in rendered_captures.MATERIALS.items() if not quick or k in SHOWN}
     materials |= {
         f"V-cavity {s}": rendered_captures.Surface("vcavity", s, 0.6) for s in ((30,) if quick else (15, 30, 45))
     }
     cases = [(o, m) for o in objects for m in materials]
-    found = []
-    for o, m in track(cases, "rendering", len(cases)):
-        c = rendered_captures.capture(objects[o], materials[m], size=64 if quick else 96)
-        found.append(Photographs(f"{o}, {m}", c.images, c.lights, c.mask, c.normal))
-    return found
+    return [
+        from_rendered(f"{o}, {m}", rendered_captures.capture(objects[o], materials[m], size=64 if quick else 96))
+        for o, m in track(cases, "rendering", len(cases))
+    ]
 
 
-def measure(case: Photographs, methods: dict[str, Solve]) -> dict[str, dict[str, Any]]:
+def measure(case: Photographs) -> Rows:
     """Errors, seconds and the material chosen, by method."""
-    rows = {}
-    for name, solve in methods.items():
+    rows: Rows = {}
+    for name, solve in METHODS.items():
         begun = time.perf_counter()
         found = solve(case.images, case.lights, case.mask)
         seconds = time.perf_counter() - begun
-        error = case.error(found)
+        error = case.error(found.normal)
         rows[name] = {
             "mean": error.nanmean().item(),
             "median": error.nanmedian().item(),
             "seconds": seconds,
-            "model": found.model,
+            "model": str(found.model),
             "falloff": found.falloff,
             "exponents": list(found.exponents),
             "roughness": math.degrees(found.roughness.max().item()),
+            "findings": [f.code for f in found.report if hasattr(f, "code")],
             "rank": float(spearmanr(found.confidence[case.mask], error, nan_policy="omit")[0]),
         }
     grey = case.images.mean(1)[:, case.mask[0]].T.contiguous()
@@ -121,15 +138,15 @@ def measure(case: Photographs, methods: dict[str, Solve]) -> dict[str, dict[str,
         normal = torch.zeros_like(case.normal)
         normal[:, case.mask[0]] = F.normalize(solver(grey, case.lights), dim=1).T
         seconds = time.perf_counter() - begun
-        error = angular_error(normal, case.normal, case.mask).as_subclass(Tensor)[case.mask]
+        error = case.error(normal)
         rows[name] = {"mean": error.nanmean().item(), "median": error.nanmedian().item(), "seconds": seconds}
     return rows
 
 
-def few_lights(case: Photographs, trials: int) -> dict[str, dict[int, float]]:
+def few_lights(case: Photographs, trials: int) -> Curves:
     """Mean error with K lights drawn at random, over ``trials`` draws."""
     generator = torch.Generator().manual_seed(0)
-    curves: dict[str, dict[int, float]] = {}
+    curves: Curves = {}
     counts = [k for k in (3, 4, 5, 6, 8, 10, 12, 16, 24, 48, 96) if k <= len(case.lights)]
     draws = {k: [_spread_draw(case.lights, k, generator) for _ in range(trials if k < 48 else 1)] for k in counts}
     for name in ("least squares", "lambert", "network", "auto"):
@@ -137,47 +154,42 @@ def few_lights(case: Photographs, trials: int) -> dict[str, dict[int, float]]:
         for k in track(counts, f"few lights, {name}", len(counts)):
             errors = []
             for kept in draws[k]:
-                try:
-                    found = METHODS[name](case.images[kept], case.lights[kept], case.mask)
-                except CaptureError:
-                    continue
-                errors.append(case.error(found).nanmean().item())
+                with suppress(CaptureError):  # too few lights for this method
+                    errors.append(case.mean_error(name, case.images[kept], case.lights[kept]))
             if errors:
                 curves[name][k] = sum(errors) / len(errors)
     return curves
 
 
 def _spread_draw(lights: Tensor, count: int, generator: torch.Generator) -> Tensor:
-    """``count`` lights that span space."""
+    """Indices of ``count`` lights that span space."""
+    kept = torch.arange(count)
     for _ in range(200):
         kept = torch.randperm(len(lights), generator=generator)[:count]
-        if condition(lights[kept]) < 8:
+        if condition(lights[kept]) < LARGEST_CONDITION:
             break
     return kept
 
 
-def wrong_calibration(case: Photographs) -> dict[str, dict[float, float]]:
-    """Mean error of `lambert` with directions, then intensities, off by so much; and intensities found again."""
+def wrong_calibration(case: Photographs) -> Curves:
+    """Mean error of `lambert` with wrong directions, with wrong intensities, and with intensities found again."""
     generator = torch.Generator().manual_seed(0)
     turn = torch.randn(case.lights.shape, generator=generator) / math.sqrt(2)
     factor = torch.randn(len(case.lights), generator=generator)
-    curves: dict[str, dict[float, float]] = {"directions, degrees": {}, "intensities, percent": {}, "found again": {}}
+    curves: Curves = {"directions, degrees": {}, "intensities, percent": {}, "intensities found again, percent": {}}
     for off in (0.0, 1.0, 2.0, 5.0, 10.0):
         lights = F.normalize(case.lights + math.radians(off) * turn, dim=1)
-        found = METHODS["lambert"](case.images, lights, case.mask)
-        curves["directions, degrees"][off] = case.error(found).nanmean().item()
+        curves["directions, degrees"][off] = case.mean_error("lambert", lights=lights)
     for off in (0.0, 1.0, 5.0, 10.0, 20.0):
         images = case.images * (1 + off / 100 * factor).clamp_min(0.1)[:, None, None, None]
-        curves["intensities, percent"][off] = (
-            case.error(METHODS["lambert"](images, case.lights, case.mask)).nanmean().item()
-        )
+        curves["intensities, percent"][off] = case.mean_error("lambert", images)
         images = images / own_intensities(images, case.lights, case.mask)[:, :, None, None]
-        curves["found again"][off] = case.error(METHODS["lambert"](images, case.lights, case.mask)).nanmean().item()
+        curves["intensities found again, percent"][off] = case.mean_error("lambert", images)
     return curves
 
 
 def wrong_distance() -> dict[float, float]:
-    """Mean error of near-light stereo with the object's distance off by so many percent."""
+    """Mean error of near-light stereo with the object's distance wrong by so many percent."""
     case, curve = rendered_captures.near_capture(rendered_captures.objects()["bumps"]), {}
     for off in (0.0, 1.0, 2.0, 5.0, 10.0, 20.0):
         found = near_light_stereo(
@@ -189,38 +201,34 @@ def wrong_distance() -> dict[float, float]:
 
 
 def two_roughnesses() -> dict[str, dict[str, float]]:
-    """Mean error of objects of two roughnesses, solved with one and by `auto`."""
+    """Mean error on objects of two roughnesses, solved with one roughness (`vcavity`) and by `auto`."""
     rows = {}
     for left, right in ((10, 45), (20, 35), (0, 50), (30, 30)):
-        case, _ = rendered_captures.patched_capture(left, right)
+        case = from_rendered("", rendered_captures.patched_capture(left, right)[0])
+        error = {name: METHODS[name](case.images, case.lights, case.mask).normal for name in ("vcavity", "auto")}
         rows[f"{left} and {right} degrees"] = {
-            name: angular_error(METHODS[name](case.images, case.lights, case.mask).normal, case.normal, case.mask)
-            .summary()["mean"]
-            for name in ("vcavity", "auto")
-        }  # fmt: skip
+            name: angular_error(normal, case.normal, case.mask).summary()["mean"] for name, normal in error.items()
+        }
     return rows
 
 
 def light_between() -> dict[str, dict[str, float]]:
-    """Mean error in degrees on balls that light each other, and the albedo that their hollows tell."""
+    """Mean error on balls that illuminate each other, and the albedo that is estimated from their light."""
     rows = {}
     for albedo in (0.2, 0.5, 0.8):
-        scene = rendered_captures.hollow_capture(rendered_captures.objects()["balls"], albedo)
-        case = Photographs("", scene.images, scene.lights, scene.mask, scene.normal)
-        row = {
-            m: case.error(METHODS[m](case.images, case.lights, case.mask)).nanmean().item() for m in ("lambert", "auto")
-        }
-        interreflected, _ = choose_interreflected_light(scene.images, scene.lights, scene.mask[0], Material(), 0)
-        rows[f"albedo {albedo}"] = row | {"albedo told": interreflected.strength if interreflected else 0.0}
+        case = from_rendered("", rendered_captures.hollow_capture(rendered_captures.objects()["balls"], albedo))
+        row = {m: case.mean_error(m) for m in ("lambert", "auto")}
+        interreflected, _ = choose_interreflected_light(case.images, case.lights, case.mask[0], Material(), 0)
+        rows[f"albedo {albedo}"] = row | {"albedo found": interreflected.strength if interreflected else 0.0}
     return rows
 
 
-def calibration(cases: list[Photographs]) -> dict[str, dict[float, float]]:
-    """RMS error in eight groups of pixels by the error that `auto`'s confidence predicts, degrees."""
+def calibration(cases: list[Photographs]) -> Curves:
+    """RMS error in eight groups of pixels by the error that the confidence of `auto` predicts, degrees."""
     curves = {}
     for case in cases:
         found = METHODS["auto"](case.images, case.lights, case.mask)
-        error = case.error(found)
+        error = case.error(found.normal)
         predicted = 2 * (1 / found.confidence[case.mask].clamp_min(1e-6) - 1).clamp_min(0).sqrt()
         order = predicted.argsort()
         curves[case.name] = {
@@ -237,96 +245,85 @@ def peak(folder: str) -> float:
     return peak_memory() / 2**20
 
 
-def draw(path: Path, curves: dict[str, dict[Any, float]], axes: tuple[str, str], *, log: str = "", title: str) -> None:
-    """Lines with their names at the end, so that no legend is needed."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(7, 4.2), layout="constrained")
-    axis = figure.subplots()
-    for name, curve in curves.items():
-        x, y = [float(k) for k in curve], list(curve.values())
-        (line,) = axis.plot(x, y, marker="o", markersize=4)
-        axis.annotate(name, (x[-1], y[-1]), (5, 3), textcoords="offset points", fontsize=9, color=line.get_color())
-    if "x" in log:
-        axis.set_xscale("log")
-    if "y" in log:
-        axis.set_yscale("log")
-    if log == "xy":  # what is predicted and what is so
-        low, high = axis.get_xlim()
-        axis.plot((low, high), (low, high), color="#999", linewidth=0.8, zorder=0)
-    axis.set_xlabel(axes[0])
-    axis.set_ylabel(axes[1])
-    axis.set_title(title, fontsize=10)
-    axis.margins(x=0.15)
-    axis.spines[["top", "right"]].set_visible(False)
-    figure.savefig(path, dpi=130)
-
-
-def show(results: dict[str, dict[str, dict[str, Any]]]) -> None:
-    """Print errors per object and method, and means."""
+def print_errors(results: dict[str, Rows]) -> None:
+    """Mean error by object and method, means over objects, and mean seconds."""
     methods = [*METHODS, *SOLVERS]
-    print(f"{'mean error, degrees':36}" + "".join(f"{m:>14}" for m in methods) + "  auto chose")
-    for name, rows in results.items():
-        auto = rows["auto"]
-        chosen = f"{auto['model']}" + (f" {auto['roughness']:.0f} deg" if auto["roughness"] else "")
-        chosen += f", falloff {auto['falloff']:.2f}" if auto["falloff"] != 1 else ""
-        chosen += f", lobes {auto['exponents']}" if auto["exponents"] else ""
-        print(f"{name:36}" + "".join(f"{rows[m]['mean']:14.2f}" for m in methods) + f"  {chosen}")
-    print(f"{'mean':36}" + "".join(f"{np.mean([r[m]['mean'] for r in results.values()]):14.2f}" for m in methods))
-    seconds = {m: np.mean([r[m]["seconds"] for r in results.values()]) for m in methods}
-    print(f"{'seconds, mean':36}" + "".join(f"{seconds[m]:14.2f}" for m in methods))
+    body = [[name, *(f"{rows[m]['mean']:.2f}" for m in methods)] for name, rows in results.items()]
+    body += [
+        [f"{key} over objects", *(f"{mean_of(results, m, key):.2f}" for m in methods)] for key in ("mean", "seconds")
+    ]
+    print(aligned(["mean error, degrees", *methods], body))
+
+
+def solve_all(title: str, cases: list[Photographs], quick: bool) -> None:
+    """Solve every case by every method, print, and record: each photographed object as a section of its own."""
+    results = {}
+    for case in track(cases, title, len(cases)):
+        results[case.name] = measure(case)
+        if title == "photographs":
+            row = {"pixels": int(case.mask.sum()), "lights": len(case.lights), "methods": results[case.name]}
+            record("evaluate_stereo", {f"photographs, {case.name}": row})
+    print_errors(results)
+    if title == "rendered":
+        record("evaluate_stereo", {title: results}, quick=[title] if quick else [])
+
+
+def print_curves(title: str, curves: dict[str, dict[str, float]] | Curves) -> None:
+    """One line per curve."""
+    print(title)
+    for line, curve in curves.items():
+        points = ((x if isinstance(x, str) else f"{x:.3g}", y) for x, y in curve.items())
+        print(f"  {line:36}" + "  ".join(f"{x}: {y:.2f}" for x, y in points))
+
+
+ON_FIRST: dict[str, Callable[[Photographs, bool], Curves]] = {
+    "few lights": lambda case, quick: few_lights(case, 1 if quick else 3),
+    "wrong calibration": lambda case, quick: wrong_calibration(case),
+}
+"""Curves of one object: the second folder, or the first rendered capture."""
+ON_ITS_OWN: dict[str, Callable[[], dict[str, dict[str, float]] | Curves]] = {
+    "near lights": lambda: {"distance, percent": wrong_distance()},
+    "two roughnesses": two_roughnesses,
+    "light between parts": light_between,
+}
+"""What renders captures of its own."""
+SECTIONS = ("photographs", "rendered", *ON_FIRST, *ON_ITS_OWN, "confidence", "memory")
+"""What can be measured."""
 
 
 def main() -> None:
-    """Measure, print, draw."""
+    """Measure, print and record."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folders", nargs="*")
-    parser.add_argument("--output", type=Path, default=Path("out/stereo"))
-    parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--sections", nargs="+", choices=SECTIONS, default=SECTIONS)
+    parser.add_argument("--quick", action="store_true", help="fewer and smaller rendered captures")
     options = parser.parse_args()
-    options.output.mkdir(parents=True, exist_ok=True)
+    wanted, quick = options.sections, options.quick
     real = [from_folder(folder) for folder in options.folders]
-    made = rendered_set(options.quick)
-    document: dict[str, Any] = {"quoted": QUOTED}
-    for title, cases in (("photographs", real), ("rendered", made)):
-        if cases:
-            print(title)
-            document[title] = {c.name: measure(c, METHODS) for c in track(cases, title, len(cases))}
-            show(document[title])
-    first = real[1] if len(real) > 1 else (real or made)[0]
-    document["few lights"] = few_lights(first, 1 if options.quick else 3)
-    document["wrong calibration"] = wrong_calibration(first)
-    document["wrong calibration"]["distance of near lights, percent"] = wrong_distance()
-    document["two roughnesses"] = two_roughnesses()
-    document["light between parts"] = light_between()
-    document["confidence"] = calibration(real or made[:3])
-    if options.folders:
-        document["peak MB"] = {Path(f).name: alone(peak, f) for f in options.folders}
-        print("peak memory, MB:", document["peak MB"])
-    for name in ("few lights", "wrong calibration", "confidence"):
-        print(f"{name} ({first.name})" if name != "confidence" else "RMS error by predicted error, degrees")
-        for line, curve in document[name].items():
-            print(f"  {line:36}" + "  ".join(f"{x:.3g}: {y:.2f}" for x, y in curve.items()))
-    for title in ("two roughnesses", "light between parts"):
-        print(f"mean error in degrees, {title}")
-        for line, row in document[title].items():
-            print(f"  {line:36}" + "  ".join(f"{name}: {value:.2f}" for name, value in row.items()))
-    (options.output / "stereo.json").write_text(json.dumps(document, indent=2) + "\n")
-    for title, cases in (("photographs", real), ("rendered", made)):
-        if cases:
-            rows = document[title].values()
-            points = {
-                m: {float(np.mean([r[m]["seconds"] for r in rows])): float(np.mean([r[m]["mean"] for r in rows]))}
-                for m in (*METHODS, *SOLVERS)
-            }
-            axes = ("seconds, mean over objects", "mean angular error, degrees")
-            draw(options.output / f"{title}.png", points, axes, title=title, log="x")
-    axes = ("lights", "mean error, degrees")
-    draw(options.output / "few_lights.png", document["few lights"], axes, log="x", title=first.name)
-    axes = ("off by (degrees or percent)", "mean error, degrees")
-    draw(options.output / "wrong_calibration.png", document["wrong calibration"], axes, title=first.name)
-    axes = ("predicted error, degrees", "RMS error, degrees")
-    draw(options.output / "confidence.png", document["confidence"], axes, log="xy", title="confidence")
+    rendered = rendered_set(quick) if "rendered" in wanted or not real else []
+    if "photographs" in wanted and real:
+        solve_all("photographs", real, quick)
+    if "rendered" in wanted:
+        solve_all("rendered", rendered, quick)
+    first = real[1] if len(real) > 1 else (real or rendered)[0]
+    where = "" if real else ", rendered"  # curves of rendered captures do not replace those of photographs
+    for name in (name for name in ON_FIRST if name in wanted):
+        curves = ON_FIRST[name](first, quick)
+        print_curves(f"{name}, {first.name}", curves)
+        partial = [name + where] if quick and name == "few lights" else []
+        record("evaluate_stereo", {name + where: {"object": first.name, "curves": curves}}, quick=partial)
+    for name in (name for name in ON_ITS_OWN if name in wanted):
+        found = ON_ITS_OWN[name]()
+        print_curves(name, found)
+        record("evaluate_stereo", {name: found})
+    if "confidence" in wanted:
+        curves = calibration(real or rendered[:3])
+        print_curves("RMS error by predicted error, degrees", curves)
+        record("evaluate_stereo", {"confidence" + where: curves})
+    if "memory" in wanted and real:
+        peaks = {Path(folder).name: alone(peak, folder) for folder in options.folders}
+        print("peak memory, MB:", peaks)
+        record("evaluate_stereo", {"memory": {"MB": peaks}})
 
 
 if __name__ == "__main__":

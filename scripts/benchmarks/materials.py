@@ -8,6 +8,7 @@ error is at most 5 % above the best model's; the cheapest such one is the simple
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -19,11 +20,31 @@ from torch_orennayar import MODELS, microfacet
 from torch_orennayar.core.progress import track
 
 ROUGHNESS = torch.arange(0, 61, 2.5, dtype=torch.float64).deg2rad()
+"""Radians that are tried."""
 WIDTH = (0.05, 0.1, 0.2, 0.35, 0.6, 1.0)
+"""Widths of the GGX lobe that are tried."""
 SUFFICIENT = 1.05
+"""A model suffices for a material if its error is at most this many times the best model's."""
 
 
-def _left(target: Tensor, diffuse: Tensor, lobe: Tensor) -> Tensor:
+@dataclass(frozen=True)
+class MaterialFit:
+    """How one model fits the measured materials.
+
+    Attributes:
+        median: of the relative RMS errors without a lobe.
+        median_with_lobe: the same with a lobe.
+        simplest_for: materials for which this is the simplest sufficient model.
+        materials: by name, error without and with the lobe, and roughness in degrees.
+    """
+
+    median: float
+    median_with_lobe: float
+    simplest_for: tuple[str, ...]
+    materials: dict[str, list[float]]
+
+
+def remaining_error(target: Tensor, diffuse: Tensor, lobe: Tensor) -> Tensor:
     """Relative RMS (M,) of the best non-negative mix of diffuse (M, N) and lobe (N,) for target (M, N, C)."""
     a, b, c = diffuse.square().sum(1, keepdim=True), (diffuse * lobe).sum(1, keepdim=True), lobe.square().sum()
     d, e = (target * diffuse[..., None]).sum(1), (target * lobe[:, None]).sum(1)
@@ -36,12 +57,12 @@ def _left(target: Tensor, diffuse: Tensor, lobe: Tensor) -> Tensor:
     return (left.clamp_min(0).sum(1) / whole.sum(1)).sqrt()
 
 
-def fit_materials(file: Path) -> dict[str, dict[str, object]]:
-    """Per model: medians, errors without and with the lobe, roughness, and for how many it is simplest."""
+def fit_materials(file: Path) -> dict[str, MaterialFit]:
+    """The fits of every model to the materials of a file."""
     table = np.load(file)
     pairs = from_angles(*(torch.from_numpy(table[k]).double() for k in ("theta_i", "theta_o", "phi")))
     target = torch.from_numpy(table["f"]).double() * torch.pi * pairs.ci[:, None]  # (M, N, C)
-    # Light between facets depends on the albedo: the hemispherical mean of the material, one number each.
+    # Light between facets depends on the albedo, which is taken as the hemispherical mean of each material.
     albedo = (target.mean((1, 2)) / pairs.ci.mean()).clamp(1e-6, 1)[:, None]
     lobes = [microfacet(pairs.ci, pairs.co, pairs.lv, width) * pairs.ci for width in WIDTH]
     alone: dict[str, Tensor] = {}
@@ -55,24 +76,23 @@ def fit_materials(file: Path) -> dict[str, dict[str, object]]:
             )
             share = (target * diffuse[..., None]).sum(1).square() / diffuse.square().sum(1, keepdim=True)
             flat.append((1 - share.sum(1) / target.square().sum((1, 2))).clamp_min(0).sqrt())
-            mixed.append(torch.stack([_left(target, diffuse, lobe) for lobe in lobes]).amin(0))
+            mixed.append(torch.stack([remaining_error(target, diffuse, lobe) for lobe in lobes]).amin(0))
         alone[name] = torch.stack(flat).amin(0)
         least = torch.stack(mixed).min(0)
         shiny[name], rough[name] = least.values, ROUGHNESS[least.indices].rad2deg()
     every = torch.stack(list(shiny.values()))
     cheap = sorted(range(len(every)), key=lambda i: MODELS[list(shiny)[i]].cost or float("inf"))
     simplest = (every <= SUFFICIENT * every.amin(0))[cheap].float().argmax(0)
+    names = [str(m) for m in table["name"]]
     return {
-        name: {
-            "median": alone[name].median().item(),
-            "median with lobe": shiny[name].median().item(),
-            "simplest for": int((simplest == cheap.index(i)).sum()),
-            "materials": {
-                str(m): [round(v, 4) for v in row]
-                for m, *row in zip(
-                    table["name"], alone[name].tolist(), shiny[name].tolist(), rough[name].tolist(), strict=True
-                )
+        name: MaterialFit(
+            median=alone[name].median().item(),
+            median_with_lobe=shiny[name].median().item(),
+            simplest_for=tuple(m for m, k in zip(names, simplest.tolist(), strict=True) if cheap[k] == i),
+            materials={
+                m: [round(v, 4) for v in row]
+                for m, *row in zip(names, alone[name].tolist(), shiny[name].tolist(), rough[name].tolist(), strict=True)
             },
-        }
+        )
         for i, name in enumerate(shiny)
     }

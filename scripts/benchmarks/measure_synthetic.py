@@ -1,22 +1,26 @@
-"""What synthetic captures cost and look like, and what training on them sends between machines.
+"""Speed of the synthetic data source, a picture of it, and the traffic of training on it.
 
-    python -m scripts.benchmarks.measure_synthetic [--output out/synthetic] [--device cpu]
+    python -m scripts.benchmarks.measure_synthetic [--output .github/images] [--device cpu] [--seconds 5]
 
-Samples per second of `SyntheticCaptures`, both kinds; seconds of a scene; a contact sheet of pictures with their truth;
-bytes and steps of `examples/train_photometric_stereo.py` on 1 to 64 processes, reckoned from the size of the network.
+`speed`: samples per second of `SyntheticCaptures`, both kinds, and seconds of a rendered scene. `training`: what one
+step of `examples/train_photometric_stereo.py` sends on 1 to 64 processes, calculated from the size of the network.
+Recorded in results/measure_synthetic.json. Draws captures.png, a contact sheet of pictures with their truth.
 """
 
 from __future__ import annotations
 
 import argparse
 import time
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Protocol, TypeAlias, cast
 
 import torch
+from torch import Tensor
 
+from scripts.benchmarks.record import ROOT, record
 from tests.support.example_code import load
-from torch_orennayar import SyntheticCaptures
+from torch_orennayar import SyntheticCaptures, SyntheticImages, SyntheticPixels
 from torch_orennayar.io.figures import save_sheet, show_light, show_normals
 from torch_orennayar.stereo.set_network import load_network
 from torch_orennayar.synthetic.pixels import Draw
@@ -25,25 +29,35 @@ from torch_orennayar.synthetic.scenes import SCENE_LIGHTS, draw_scene
 LINK = 12.5e9
 """Bytes a second of a link of 100 Gb/s."""
 
+Captures: TypeAlias = "SyntheticCaptures[SyntheticPixels] | SyntheticCaptures[SyntheticImages]"
 
-def speed(captures: SyntheticCaptures, seconds: float) -> tuple[float, float]:
-    """Samples and observations a second."""
+
+class Training(Protocol):
+    """What is measured of the example's trainer."""
+
+    def run_step(self, samples: Iterator[object], world: int) -> object:
+        """One step of training."""
+
+
+def observations(sample: SyntheticPixels | SyntheticImages) -> int:
+    """Pixels times lights of one sample."""
+    tensors = cast("Mapping[str, Tensor]", sample)
+    return tensors["observed"].numel() if "observed" in tensors else int(tensors["mask"].sum()) * len(tensors["lights"])
+
+
+def speed(captures: Captures, seconds: float) -> dict[str, float]:
+    """Samples and millions of observations per second."""
     captures.sample(0)
     begun, count, seen = time.perf_counter(), 0, 0
     while time.perf_counter() - begun < seconds:
-        sample = captures.sample(count)
-        seen += (
-            sample["observed"].numel()
-            if captures.kind == "pixels"
-            else int(sample["mask"].sum()) * len(sample["lights"])
-        )
+        seen += observations(captures.sample(count))
         count += 1
     spent = time.perf_counter() - begun
-    return count / spent, seen / spent
+    return {"samples per second": count / spent, "million observations per second": seen / spent / 1e6}
 
 
 def scene_seconds(device: str, scenes: int = 5) -> float:
-    """Seconds that a scene takes to be rendered."""
+    """Seconds to render one scene."""
     begun = time.perf_counter()
     for seed in range(scenes):
         draw_scene(Draw(seed, device), SCENE_LIGHTS, None)
@@ -65,9 +79,9 @@ def contact_sheet(path: Path) -> None:
     save_sheet(path, rows)
 
 
-def training_step(training: Any) -> float:
+def training_step(training: Training, count: int) -> float:
     """Seconds of a step of training on this machine."""
-    samples = iter(SyntheticCaptures("pixels", observations=training.options.observations))
+    samples: Iterator[object] = iter(SyntheticCaptures("pixels", observations=count))
     training.run_step(samples, 1)
     begun = time.perf_counter()
     for _ in range(5):
@@ -75,44 +89,53 @@ def training_step(training: Any) -> float:
     return (time.perf_counter() - begun) / 5
 
 
-def scaling() -> None:
-    """Print what every process of the trainer does and sends in a step, as ring all-reduce does it."""
+def scaling() -> dict[str, object]:
+    """What every process of the trainer computes and sends in a step of ring all-reduce."""
     trainer = load("train_photometric_stereo")
     options = trainer.parse(["--device", "cpu"])
-    step_seconds = training_step(trainer.Training(options))
     size = 4 * sum(p.numel() for p in load_network().parameters())
-    print(f"gradient {size / 1e3:.0f} kB; {step_seconds:.2f} s a step of {options.groups} x {options.observations}")
-    print(f"{'processes':>10}{'groups each':>13}{'observations a step':>21}{'sent by each, MB a step':>25}"
-          f"{'ms at 100 Gb/s':>16}{'sent in all, GB':>17}")  # fmt: skip
+    rows = {}
     for processes in (1, 2, 8, 64):
         groups = max(options.groups, processes)
         sent = 2 * (processes - 1) / processes * size
-        print(f"{processes:10}{groups // processes:13}{groups * options.observations:21,}{sent / 1e6:25.2f}"
-              f"{1e3 * sent / LINK:16.2f}{sent * processes * options.steps / 1e9:17.1f}")  # fmt: skip
+        rows[str(processes)] = {
+            "groups each": groups // processes,
+            "observations per step": groups * options.observations,
+            "MB sent by each per step": sent / 1e6,
+            "ms per step at 100 Gb/s": 1e3 * sent / LINK,
+            "GB sent in all": sent * processes * options.steps / 1e9,
+        }
+    return {
+        "gradient kB": size / 1e3,
+        "groups": options.groups,
+        "observations": options.observations,
+        "seconds per step": training_step(trainer.Training(options), options.observations),
+        "processes": rows,
+    }
 
 
 def main() -> None:
-    """Measure, draw, print."""
+    """Measure, draw, print and record."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--output", type=Path, default=Path("out/synthetic"))
+    parser.add_argument("--output", type=Path, default=ROOT / ".github" / "images")
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--seconds", type=float, default=5.0)
     options = parser.parse_args()
     options.output.mkdir(parents=True, exist_ok=True)
-    print(f"{torch.get_num_threads()} threads, {options.device}")
-    for name, captures in {
-        "pixels": SyntheticCaptures("pixels", device=options.device),
-        "images, 64 x 64": SyntheticCaptures("images", device=options.device),
-        "images, 64 x 64, 4 lights": SyntheticCaptures("images", device=options.device, lights=(4, 4)),
-        "images, 128 x 128, 12 lights": SyntheticCaptures("images", device=options.device, lights=(12, 12),
-                                                          size=(128, 128)),
-    }.items():  # fmt: skip
-        samples, seen = speed(captures, options.seconds)
-        print(f"{name:30}{samples:10.1f} samples/s{seen / 1e6:10.2f} million observations/s")
-    print(f"a scene under {SCENE_LIGHTS} lights for pixels to stand in: {scene_seconds(options.device):.2f} s")
+    device = options.device
+    sources: dict[str, Captures] = {
+        "pixels": SyntheticCaptures("pixels", device=device),
+        "images, 64 x 64": SyntheticCaptures("images", device=device),
+        "images, 64 x 64, 4 lights": SyntheticCaptures("images", device=device, lights=(4, 4)),
+        "images, 128 x 128, 12 lights": SyntheticCaptures("images", device=device, lights=(12, 12), size=(128, 128)),
+    }
+    rows = {name: speed(captures, options.seconds) for name, captures in sources.items()}
+    scene = {"lights": SCENE_LIGHTS, "seconds": scene_seconds(device)}
+    sections = {"speed": {"sources": rows, "scene": scene, "device": device}, "training": scaling()}
+    for title, found in sections.items():
+        print(title, *found.items(), sep="\n  ")
     contact_sheet(options.output / "captures.png")
-    scaling()
-    print(f"look at {options.output / 'captures.png'}")
+    record("measure_synthetic", sections, device=device)
 
 
 if __name__ == "__main__":

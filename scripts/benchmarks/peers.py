@@ -1,20 +1,22 @@
 """Other renderers that install from the package index, drawing normals of a mesh seen along -z by a parallel camera.
 
 ``pip install moderngl deodr open3d mitsuba==3.6.4`` brings them (moderngl needs Mesa's libEGL and draws with llvmpipe;
-Mitsuba needs a libLLVM, and newer ones than 3.6 need a newer LLVM than Debian 12 has). Whatever is missing is left out.
+Mitsuba needs a libLLVM, and newer ones than 3.6 need a newer LLVM than Debian 12 has). Renderers that are not installed
+are left out.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-Floats = npt.NDArray[np.float32]
+Floats = npt.NDArray[np.floating[Any]]
 Picture = tuple[Floats, Floats]
-"""Normals (H, W, 3), not always unit, and depth (H, W); anything where nothing is seen."""
+"""Normals (H, W, 3), not always unit, and depth (H, W); arbitrary where nothing is seen."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +32,7 @@ class View:
 
 
 def llvmpipe(view: View) -> Callable[[], Picture]:
-    """OpenGL on the processor: vertices up, normals and face ids as float32 and depth down."""
+    """OpenGL on the processor: uploads vertices, reads back normals and face ids as float32, and depth."""
     import moderngl
 
     context = moderngl.create_standalone_context(backend="egl", require=430)
@@ -105,11 +107,12 @@ def deodr(view: View) -> Callable[[], Picture]:
 
 def _rays(view: View) -> tuple[Floats, Floats]:
     centre = ((np.arange(view.size) + 0.5) / view.size * 2 - 1).astype("f4") * view.half_height
-    return np.meshgrid(centre, -centre)
+    x, y = np.meshgrid(centre, -centre)
+    return x, y
 
 
 def open3d(view: View) -> Callable[[], Picture]:
-    """Embree through Open3D; the tree is built before."""
+    """Embree through Open3D; the tree is built before the time starts."""
     import open3d as o3d
 
     scene = o3d.t.geometry.RaycastingScene()
@@ -132,7 +135,7 @@ def open3d(view: View) -> Callable[[], Picture]:
 
 
 def mitsuba(view: View) -> Callable[[], Picture]:
-    """Mitsuba 3's compiled ray caster; the tree is built before."""
+    """Mitsuba 3's compiled ray caster; the tree is built before the time starts."""
     import drjit as dr
     import mitsuba as mi
 

@@ -1,6 +1,7 @@
-"""Photometric stereo of others for Lambertian surfaces with outliers, written from the papers to be measured.
+"""Published methods of photometric stereo for Lambertian surfaces with outliers, written from their papers.
 
-Each takes observations (P, K) and unit lights (K, 3) and returns albedo times normal, (P, 3). None is for use.
+Each takes observations (P, K) and unit lights (K, 3) and returns albedo times normal, (P, 3). They are here to be
+measured beside this package's solvers, not to be used.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ def weighted(grey: Tensor, lights: Tensor, weight: Tensor) -> tuple[Tensor, Tens
 
 
 def trimmed(grey: Tensor, lights: Tensor) -> Tensor:
-    """Least squares on each pixel's ranks from 20 to 80 %."""
+    """Least squares on each pixel's observations from the 20th to the 80th percentile."""
     count = grey.shape[1]
     order = grey.argsort(1)[:, round(0.2 * count) : round(0.8 * count)]
     return weighted(grey, lights, torch.zeros_like(grey).scatter_(1, order, 1.0))[0]
@@ -39,7 +40,7 @@ def least_absolute(grey: Tensor, lights: Tensor, steps: int = 40) -> Tensor:
 
 
 def sparse_bayesian(grey: Tensor, lights: Tensor, steps: int = 100, noise: float = 1e-3) -> Tensor:
-    """Sparse Bayesian regression (Ikehata, Wipf, Matsushita & Aizawa 2012): outliers with a variance each, by EM."""
+    """Sparse Bayesian regression (Ikehata, Wipf, Matsushita & Aizawa 2012), by expectation maximisation."""
     unit = grey.mean(1, keepdim=True).clamp_min(1e-6)
     seen = grey / unit
     variance = torch.ones_like(seen)
@@ -82,3 +83,4 @@ SOLVERS: dict[str, Solver] = {
     "SBL": sparse_bayesian,
     "RPCA": low_rank,
 }
+"""The methods by the name that tables print."""

@@ -1,6 +1,6 @@
-"""Where shading formulas fail: situations, and the verdict on an implementation in one of them.
+"""Edge cases in which shading formulas fail, and the verdict on an implementation in one of them.
 
-Shared by ``stability.py``, which draws the map, and by the tests, which hold this package to it.
+``stability.py`` makes a map of all verdicts; the tests require that this package is right in every case.
 """
 
 from __future__ import annotations
@@ -16,24 +16,25 @@ from torch_orennayar import TorchOrenNayarError, oren_nayar
 
 Shade = Callable[[Tensor, Tensor, Tensor, Tensor, Tensor], Tensor]
 FORMATS = (torch.float64, torch.float32, torch.bfloat16, torch.float16)
+"""Number formats that are judged."""
 ALLOWED = {torch.float64: 1e-9, torch.float32: 1e-4, torch.bfloat16: 1.6e-2, torch.float16: 2e-3}
-"""Error that counts as right: two units in the last place of a half; 0.1 degrees above the horizon, where a cosine of
-0.0017 carries float32's 6e-8, a slope is good to 4e-5."""
+"""Largest error that counts as right. Of half precision two units in the last place; of float32 what 0.1 degrees above
+the horizon leaves, where a cosine of 0.0017 has a rounding error of 6e-8 and so a slope one of 4e-5."""
 
 
 @dataclass(frozen=True)
-class Situation:
+class EdgeCase:
     """Pixels to shade, float64.
 
     Attributes:
-        name: for the map.
+        name: title of the row in the map.
         group: ``"geometry"``, ``"parameters"`` or ``"bad data"``.
         normal: (N, 3), as ``light`` and ``view``.
         light: unit, from surface to light.
         view: unit, from surface to camera.
         albedo: (N, 1).
         roughness: (N, 1), radians.
-        dark: (N,) pixels that must be 0, with gradients 0, whatever their numbers.
+        dark: (N,) pixels that must be 0 with gradients 0, whatever their inputs.
         mistake: a call that should be refused.
         edge: at the kink of ``max(0, n.l)``, where any finite gradient is one of its sides.
     """
@@ -52,7 +53,7 @@ class Situation:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What an implementation does in a situation.
+    """What an implementation does in an edge case.
 
     Attributes:
         kind: ``"right"``, ``"wrong"`` (finite), ``"not finite"`` or ``"refused"``.
@@ -70,8 +71,8 @@ def tilted(degrees: float, azimuth: float = 0.0) -> list[float]:
     return [s * math.cos(a), s * math.sin(a), c]
 
 
-def make(name: str, group: str, pairs: list[tuple[list[float], list[float]]], **changes: object) -> Situation:
-    """A situation from pairs of light and view about the normal +z, at albedo 0.7 and three roughnesses."""
+def make(name: str, group: str, pairs: list[tuple[list[float], list[float]]], **changes: object) -> EdgeCase:
+    """An edge case from pairs of light and view about the normal +z, at albedo 0.7 and three roughnesses."""
     light, view = (torch.tensor(d, dtype=torch.float64).repeat(3, 1) for d in zip(*pairs, strict=True))
     count = len(light)
     fields: dict[str, object] = {
@@ -84,11 +85,11 @@ def make(name: str, group: str, pairs: list[tuple[list[float], list[float]]], **
     }
     for key, value in changes.items():
         fields[key] = value(fields) if callable(value) else value
-    return Situation(name, group, **fields)  # type: ignore[arg-type]
+    return EdgeCase(name, group, **fields)  # type: ignore[arg-type]
 
 
-def situations() -> list[Situation]:
-    """All of them."""
+def edge_cases() -> list[EdgeCase]:
+    """All edge cases."""
     usual = [(tilted(40, 20), tilted(25, 80)), (tilted(60, -30), tilted(50, 150)), (tilted(15, 200), tilted(70, 10))]
     hair = math.degrees(1e-4)
 
@@ -140,13 +141,13 @@ def situations() -> list[Situation]:
     ]
 
 
-def judge(shade: Shade, reference: Shade, at: Situation, dtype: torch.dtype) -> tuple[Verdict, Verdict]:
+def judge(shade: Shade, reference: Shade, at: EdgeCase, dtype: torch.dtype) -> tuple[Verdict, Verdict]:
     """Values and gradients of ``shade`` in ``dtype`` against ``reference`` in float64, on the same rounded numbers."""
     rounded = [t.to(dtype) for t in (at.normal, at.light, at.view, at.albedo, at.roughness)]
     leaves = [t.clone().requires_grad_() for t in rounded]
     try:
         value = shade(*leaves)
-        gradients = torch.autograd.grad(value.double().sum(), leaves, allow_unused=True)
+        gradients: tuple[Tensor | None, ...] = torch.autograd.grad(value.double().sum(), leaves, allow_unused=True)
     except TorchOrenNayarError:
         return Verdict("refused"), Verdict("refused")
     if at.mistake:
@@ -155,6 +156,7 @@ def judge(shade: Shade, reference: Shade, at: Situation, dtype: torch.dtype) -> 
     keep = ~at.dark
     exact = [t.double()[keep].requires_grad_() for t in rounded]
     wanted = torch.zeros(len(keep), 1, dtype=torch.float64)
+    slopes: tuple[Tensor | None, ...] = (None,) * len(exact)
     if bool(keep.any()):
         truth = reference(*exact)
         slopes = torch.autograd.grad(truth.sum(), exact, allow_unused=True)
@@ -164,12 +166,13 @@ def judge(shade: Shade, reference: Shade, at: Situation, dtype: torch.dtype) -> 
     errors = []
     for k, (leaf, found) in enumerate(zip(leaves, gradients, strict=True)):
         right = torch.zeros(leaf.shape, dtype=torch.float64)
-        if bool(keep.any()) and slopes[k] is not None:
-            right[keep] = slopes[k]
+        slope = slopes[k]
+        if slope is not None:
+            right[keep] = slope
         right = right.clamp(-most, most)  # half precision saturates
         error = (torch.zeros_like(right) if found is None else found.double()) - right
         if k < 3:
-            # How a formula goes on off the unit sphere is its own affair: only turns of a direction are judged.
+            # Formulas may differ off the unit sphere: only the gradient along rotations of a direction is judged.
             unit = torch.nn.functional.normalize(leaf.detach().double(), dim=-1)
             error = torch.where(at.dark[:, None], error, error - (error * unit).sum(-1, keepdim=True) * unit)
         if at.edge:

@@ -1,4 +1,4 @@
-"""Times of calls on this machine, interleaved so that all meet the same weather; peaks of memory in fresh processes."""
+"""Times of calls, interleaved so that the machine's load affects all alike, and peak memory in fresh processes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Call = Callable[[], object]
 
 
 class Ratio(NamedTuple):
-    """Median, least and most of a quotient of times."""
+    """Median, smallest and largest of a quotient of times."""
 
     median: float
     least: float
@@ -31,7 +31,7 @@ class Ratio(NamedTuple):
 
 
 def interleave(calls: Mapping[str, Call], runs: int, what: str = "", *, warm: int = 2) -> dict[str, list[float]]:
-    """Milliseconds of every call in every run but the first ``warm``; one call after the other, run by run."""
+    """Milliseconds of every call in every run except the first ``warm``; the calls take turns, run by run."""
     taken: dict[str, list[float]] = {name: [] for name in calls}
     for _ in track(range(runs + warm), what) if what else range(runs + warm):
         for name, call in calls.items():
@@ -43,6 +43,11 @@ def interleave(calls: Mapping[str, Call], runs: int, what: str = "", *, warm: in
     return {name: t[warm:] for name, t in taken.items()}
 
 
+def allow_recompilations() -> None:
+    """Let `torch.compile` hold many versions of one function: all models share a code object."""
+    torch._dynamo.config.recompile_limit = 100  # default 8
+
+
 def ratio(times: Mapping[str, list[float]], name: str, to: str) -> Ratio:
     """Time of ``name`` over that of ``to`` in the same run."""
     quotients = [a / b for a, b in zip(times[name], times[to], strict=True)]
@@ -50,7 +55,7 @@ def ratio(times: Mapping[str, list[float]], name: str, to: str) -> Ratio:
 
 
 def forward(function: Callable[..., Tensor], scene: list[Tensor]) -> Call:
-    """A call that computes values alone."""
+    """A call that computes values only."""
 
     def call() -> Tensor:
         with torch.no_grad():
@@ -82,7 +87,7 @@ def peak_bytes(make: Callable[..., Call], size: int, *arguments: object) -> int 
 
 
 def alone(function: Callable[..., object], *arguments: object) -> Any:
-    """What ``function`` returns in a fresh process, where no other library's threads spin; or the error it raised."""
+    """What ``function`` returns or raises in a fresh process, where no other library's threads spin."""
     context = multiprocessing.get_context("spawn")
     receiver, sender = context.Pipe(duplex=False)
     process = context.Process(target=_answer, args=(sender, function, arguments))
@@ -90,7 +95,7 @@ def alone(function: Callable[..., object], *arguments: object) -> Any:
     sender.close()
     try:
         result = receiver.recv()
-    except EOFError:  # it was killed from inside, as a compiler of kernels may do
+    except EOFError:  # killed by a fault in native code
         result = RuntimeError("the process died")
     process.join()
     return result
@@ -99,12 +104,12 @@ def alone(function: Callable[..., object], *arguments: object) -> Any:
 def _answer(sender: Connection, function: Callable[..., object], arguments: tuple[object, ...]) -> None:
     try:
         sender.send(function(*arguments))
-    except Exception as error:  # goes to whoever asked
+    except Exception as error:  # reported to the calling process
         sender.send(RuntimeError(f"{type(error).__name__}: {str(error).partition(chr(10))[0]}"))
 
 
 def _measure(sender: Connection, make: Callable[..., Call], size: int, arguments: tuple[object, ...]) -> None:
-    make(16, *arguments)()  # code and threads are loaded, and no memory to speak of kept
+    make(16, *arguments)()  # loads code and starts threads, and keeps little memory
     call = make(size, *arguments)
     forget_peak()
     before = _status("VmRSS")
@@ -113,12 +118,12 @@ def _measure(sender: Connection, make: Callable[..., Call], size: int, arguments
 
 
 def forget_peak() -> None:
-    """Reset the high-water mark of memory, which a process inherits from its parent."""
+    """Reset the peak of memory, which a process inherits from its parent."""
     Path("/proc/self/clear_refs").write_text("5")
 
 
 def peak_memory() -> int:
-    """The most bytes that this process has held since it forgot its peak."""
+    """Most bytes that this process has held since `forget_peak`."""
     return _status("VmHWM")
 
 

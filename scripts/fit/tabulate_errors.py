@@ -4,7 +4,8 @@
 
 Writes torch_orennayar/reflectance/model_errors.json: RMS of the shading over albedo, ``pi f_r cos / rho``, against the
 V-cavity theory with all bounces, for light and view cosine-weighted up to the given angle from the normal (2000 pairs,
-seed 7). `theory` itself errs by its quadrature: measured against one with three times the nodes. Half a minute.
+seed 7). The error of `theory` itself is that of its quadrature, measured against one with three times the nodes. Takes
+half a minute.
 """
 
 from __future__ import annotations
@@ -13,17 +14,22 @@ import json
 from pathlib import Path
 
 import torch
-import torch_orennayar.theory
 from torch import Tensor
 
 from scripts.fit.theory_reference import cosine_weighted, theory
 from torch_orennayar import MODELS
+from torch_orennayar.reflectance import theory as quadrature
 
-TARGET = Path(torch_orennayar.__file__).parent / "reflectance" / "model_errors.json"
+TARGET = Path(quadrature.__file__).with_name("model_errors.json")
+"""The table that the package reads."""
 ROUGHNESS = (0, 5, 10, 15, 20, 25, 30, 40, 50, 60, 75, 90)
+"""Degrees at which the table has rows."""
 ALBEDO = (0.0, 0.25, 0.5, 0.75, 1.0)
+"""Albedos of the table."""
 ANGLE = (15, 30, 45, 60, 75, 90)
+"""Largest angles of light and view from the normal, degrees."""
 PAIRS = 2000
+"""Random pairs of light and view for each largest angle."""
 
 
 def quadrature_error(sigma: Tensor) -> float:
@@ -31,13 +37,11 @@ def quadrature_error(sigma: Tensor) -> float:
     pairs = cosine_weighted(200, 8)
     white = torch.ones(1)
     values = []
-    nodes = torch_orennayar.reflectance.theory.SLOPES, torch_orennayar.reflectance.theory.AZIMUTHS
+    nodes = quadrature.SLOPES, quadrature.AZIMUTHS
     for factor in (1, 3):
-        torch_orennayar.reflectance.theory.SLOPES, torch_orennayar.reflectance.theory.AZIMUTHS = (
-            factor * n for n in nodes
-        )
+        quadrature.SLOPES, quadrature.AZIMUTHS = (factor * n for n in nodes)
         values.append(theory(pairs, sigma, white, f"quadrature, {factor} x").sum(-1)[..., 0] * pairs.ci)
-    torch_orennayar.reflectance.theory.SLOPES, torch_orennayar.reflectance.theory.AZIMUTHS = nodes
+    quadrature.SLOPES, quadrature.AZIMUTHS = nodes
     return (values[1] - values[0]).square().mean().sqrt().item()
 
 

@@ -1,4 +1,4 @@
-"""Directions drawn by seed and what the V-cavity theory says of them; shared by the scripts that fit and measure."""
+"""Random directions and the V-cavity theory at them; shared by the scripts that fit and measure models."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def from_angles(theta_i: Tensor, theta_o: Tensor, phi: Tensor) -> Directions:
 
 
 def cosine_weighted(count: int, seed: int, largest: float = math.pi / 2) -> Directions:
-    """Light and view each cosine-weighted up to ``largest`` from the normal, as pixels of a convex object see them."""
+    """Light and view, each cosine-weighted up to ``largest`` from the normal, as over the pixels of a convex object."""
     draw = torch.Generator().manual_seed(seed)
     theta_i, theta_o = (
         (torch.rand(2, count, generator=draw, dtype=torch.float64).sqrt() * math.sin(largest))
@@ -48,7 +48,7 @@ def cosine_weighted(count: int, seed: int, largest: float = math.pi / 2) -> Dire
 
 
 def grazing(count: int, seed: int) -> Directions:
-    """The hard corner: both directions 45 to 89 degrees from the normal, near each other (retro-reflection)."""
+    """Retro-reflection at grazing angles: both directions 45 to 89 degrees from the normal, near each other."""
     draw = torch.Generator().manual_seed(seed)
     theta_i = math.radians(45) + math.radians(44) * torch.rand(count, generator=draw, dtype=torch.float64)
     theta_o = theta_i + 0.1 * torch.randn(count, generator=draw, dtype=torch.float64)
@@ -57,19 +57,20 @@ def grazing(count: int, seed: int) -> Directions:
 
 
 def horizon(count: int, seed: int) -> Directions:
-    """The limit: both directions 0.005 to 2 degrees above the horizon, at any azimuth."""
+    """Both directions 0.005 to 2 degrees above the horizon, at any azimuth."""
     draw = torch.Generator().manual_seed(seed)
     height = 10 ** (-4 + 2.5 * torch.rand(2, count, generator=draw, dtype=torch.float64))
-    return from_angles(*(math.pi / 2 - height), math.pi * torch.rand(count, generator=draw, dtype=torch.float64))
+    theta_i, theta_o = math.pi / 2 - height
+    return from_angles(theta_i, theta_o, math.pi * torch.rand(count, generator=draw, dtype=torch.float64))
 
 
 def join(*parts: Directions) -> Directions:
-    """All pairs in one."""
+    """All pairs in one set."""
     return Directions(*(torch.cat([getattr(p, name) for p in parts]) for name in ("ci", "co", "lv")))
 
 
 def theory(directions: Directions, sigma: Tensor, rho: Tensor, what: str) -> Tensor:
-    """``pi f_r / rho`` of S roughnesses, N directions, K albedos, by bounces: (S, N, K, 3). Slow."""
+    """``pi f_r / rho`` of the V-cavity theory by bounces, (S, N, K, 3), for S roughnesses, N directions, K albedos."""
     rows = [
         reflectance_by_bounces(
             directions.ci,

@@ -51,7 +51,7 @@ def test_relight(graphs: Path, tmp_path: Path, rough: Scene) -> None:
     write_image(tmp_path / "normal.png", ton.encode_normals(rough.normal))
     done = app("relight", graphs / "shading.onnx", tmp_path / "normal.png", tmp_path / "out.png")
     assert done.returncode == 0, done.stderr
-    stored = torch.from_numpy(read_image(tmp_path / "normal.png") / 255).float().permute(2, 0, 1)
+    stored = torch.from_numpy(read_image(tmp_path / "normal.png").astype(np.float32) / 255).permute(2, 0, 1)
     picture = read_image(tmp_path / "out.png").astype(float)
     assert np.abs(picture - wanted_picture(ton.decode_normals(stored))).max() <= 0.6
 

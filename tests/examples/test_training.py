@@ -1,4 +1,4 @@
-"""The trainer: killed and resumed, with torn checkpoints, in one process and in two."""
+"""The training script: killed and resumed, with torn checkpoints, in one process and in two."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import pytest
 import torch
 
 from tests.support.example_code import EXAMPLES, load
-from torch_orennayar.core.errors import FileError
+from torch_orennayar import FileError
 
 TRAINER = EXAMPLES / "train_photometric_stereo.py"
 SMALL = ("--groups", "2", "--observations", "256", "--scenes", "2", "--threads", "1", "--device", "cpu")
@@ -32,7 +32,7 @@ def train(folder: Path, steps: int = 12, every: int = 4, *more: str) -> str:
 
 
 def weights(folder: Path) -> dict[str, torch.Tensor]:
-    """All that training goes on from, not the rounded weights that ship."""
+    """The weights and the optimiser's state of the checkpoint, not the rounded weights of network.pt."""
     state = torch.load(folder / "checkpoint.pt", weights_only=True)
     optimiser = {f"{k} {n}": v for k, values in state["optimiser"]["state"].items() for n, v in values.items()}
     return {**state["network"], **{f"average {n}": v for n, v in state["average"].items()}, **optimiser}

@@ -95,7 +95,8 @@ def seen(page: Page, canvas: str) -> npt.NDArray[np.float64]:
     data = page.evaluate(f"document.getElementById('{canvas}').toDataURL('image/png')")
     pixels = cv2.imdecode(np.frombuffer(base64.b64decode(data.partition(",")[2]), np.uint8), cv2.IMREAD_UNCHANGED)
     assert pixels is not None
-    return pixels[..., 2::-1].astype(np.float64)
+    colours: npt.NDArray[np.float64] = pixels[..., 2::-1].astype(np.float64)
+    return colours
 
 
 def shown(normal: torch.Tensor, model: str, light: tuple[float, float] = (0.3, 0.4)) -> npt.NDArray[np.float64]:
@@ -107,7 +108,7 @@ def shown(normal: torch.Tensor, model: str, light: tuple[float, float] = (0.3, 0
 
 
 def stored_normals(file: Path) -> torch.Tensor:
-    return ton.decode_normals(torch.from_numpy(read_image(file) / 255).float().permute(2, 0, 1))
+    return ton.decode_normals(torch.from_numpy(read_image(file).astype(np.float32) / 255).permute(2, 0, 1))
 
 
 def status(page: Page, text: str, timeout: float = 120_000) -> str:
@@ -210,13 +211,12 @@ def test_all_graphs_give_torchs_answer(page: Page, rough: Scene) -> None:
     }
     for model in ("lambert", "qualitative", "vcavity"):
         found = run_in_page(page, f"shading_{model}", {k: v.numpy() for k, v in scene.items()})
-        assert np.abs(found["shading"] - ton.oren_nayar(**scene, model=model).numpy()).max() <= 1e-5
+        assert np.abs(found["shading"] - ton.oren_nayar(*scene.values(), model=model).numpy()).max() <= 1e-5
 
     feeds = {"images": rough.images, "lights": rough.lights, "mask": rough.mask}
     answers = run_in_page(page, "stereo", {k: v.numpy() for k, v in feeds.items()})
-    for name, value in zip(
-        ("normal", "albedo", "roughness"), solve_closed_form(*feeds.values(), "vcavity"), strict=True
-    ):
+    solved = solve_closed_form(rough.images, rough.lights, rough.mask, "vcavity")
+    for name, value in zip(("normal", "albedo", "roughness"), solved, strict=True):
         assert np.abs(answers[name] - value.numpy()).max() <= 1e-5
 
     answers = run_in_page(page, "stereo_network", {k: v.numpy() for k, v in feeds.items()})

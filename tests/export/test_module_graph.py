@@ -10,7 +10,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from torch_orennayar import Camera, ExportError, OrenNayar, export_onnx, oren_nayar
-from torch_orennayar.export.api import describe_onnx
+from torch_orennayar.export.describe import describe_onnx
 
 
 class Relighter(nn.Module):
@@ -99,7 +99,7 @@ def test_half_precision_ends(tmp_path: Path) -> None:
     scene = {name: value.half() for name, value in scene.items()}
     session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
     (answer,) = session.run(None, {name: value.numpy() for name, value in scene.items()})
-    wanted = oren_nayar(**scene, model="vcavity")
+    wanted = oren_nayar(*scene.values(), model="vcavity")
     assert answer.dtype == np.float16
     assert np.abs(answer.astype(np.float32) - wanted.float().numpy()).max() <= 2**-10
 

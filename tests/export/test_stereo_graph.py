@@ -8,7 +8,7 @@ import torch
 
 from tests.support.objects import run_graph
 from torch_orennayar import angular_error, export_onnx, load_capture, oren_nayar
-from torch_orennayar.export.api import describe_onnx
+from torch_orennayar.export.describe import describe_onnx
 from torch_orennayar.geometry.primitives import Ball, spiral_lights
 from torch_orennayar.stereo.closed_form import solve_closed_form
 

@@ -14,11 +14,12 @@ from torch_orennayar import (
     RangeError,
     ShapeError,
     load_mesh,
+    normalise_mesh,
     render_normals,
     save_mesh,
     vertex_normals,
 )
-from torch_orennayar.geometry.mesh import depth_to_mesh, normalise_mesh
+from torch_orennayar.geometry.mesh import depth_to_mesh
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".obj", ".glb", ".stl", ".off"])
@@ -85,6 +86,12 @@ def test_normalised_meshes_fit_the_unit_sphere(seed: int, scale: float) -> None:
     placed = normalise_mesh(cloud)
     assert placed.norm(dim=1).max() <= 1 + 1e-4
     assert torch.allclose(placed.amin(0), -placed.amax(0), atol=1e-4)
+
+
+def test_only_a_single_mesh_can_be_normalised() -> None:
+    for vertices in (torch.zeros(2, 5, 3), torch.zeros(0, 3), torch.zeros(4, 2), torch.zeros(4, 3).long()):
+        with pytest.raises(ShapeError, match="vertices"):
+            normalise_mesh(vertices)
 
 
 @pytest.mark.parametrize("perspective", [False, True])

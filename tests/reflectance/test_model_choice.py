@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from torch_orennayar import MODELS, ModelError, OrenNayar, RangeError, oren_nayar, register_model, simplest_model
 from torch_orennayar.reflectance.model_choice import TABLE
-from torch_orennayar.reflectance.models import _models
+from torch_orennayar.reflectance.models import unregister_model
 
 
 def test_table_holds_every_model_of_the_package() -> None:
@@ -112,7 +112,8 @@ def test_registered_models_take_part_if_they_are_measured() -> None:
         assert choice == "free"
         assert "unknown" not in choice.candidates
     finally:
-        del _models["free"], _models["unknown"]
+        unregister_model("free")
+        unregister_model("unknown")
 
 
 def test_mistakes_are_named() -> None:

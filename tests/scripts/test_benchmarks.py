@@ -1,4 +1,4 @@
-"""What the scripts measure with: formulas in circulation, the frontier, the fit of materials, drawn directions."""
+"""What the benchmarks measure with: copied formulas, the frontier, the fit of materials, random directions."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scripts.benchmarks import baselines, materials
-from scripts.benchmarks import chart_reflectance as chart
+from scripts.benchmarks import baselines, charts, materials
 from scripts.fit import theory_reference
 from tests.support import oracles
 from torch_orennayar import microfacet, oren_nayar
@@ -32,7 +31,7 @@ def test_copied_formulas_are_the_classic_one_where_they_are_right(
     wanted = oracles.angle_form("qualitative", ti, to, dphi, 0.7, sigma) * math.cos(ti)
     for shade in (baselines.angles, baselines.normalised):
         assert shade(*scene(ti, to, dphi), *rest).item() == pytest.approx(wanted, abs=1e-8)
-    # The slips are slips: each differs from the classic form by more than rounding somewhere.
+    # Each of the wrong formulas differs from the classic form by more than rounding somewhere.
     for shade in (baselines.sine_sine, baselines.rising, baselines.doubled):
         off = scene(1.2, 1.1, 0.1)
         right = oren_nayar(*off, *rest)
@@ -44,6 +43,7 @@ def test_copied_formulas_lose_their_gradients_at_the_normal_and_this_package_doe
     for shade, finite in ((baselines.angles, False), (baselines.normalised, False), (oren_nayar, True)):
         normal = up.clone().requires_grad_()
         shade(normal, up, up, torch.tensor([[0.5]]), torch.tensor([[0.4]])).sum().backward()
+        assert normal.grad is not None
         assert bool(normal.grad.isfinite().all()) is finite
 
 
@@ -55,7 +55,7 @@ def test_frontier_holds_what_nothing_beats_in_both() -> None:
         "exact": (9.0, 0.01),
         "slow": (10.0, 0.01),
     }
-    assert chart.frontier(points) == ["fast", "between", "exact"]
+    assert charts.frontier(points) == ["fast", "between", "exact"]
 
 
 def test_materials_are_fitted_by_the_best_non_negative_mix() -> None:
@@ -63,11 +63,11 @@ def test_materials_are_fitted_by_the_best_non_negative_mix() -> None:
     lobe = microfacet(pairs.ci, pairs.co, pairs.lv, 0.3) * pairs.ci
     made = (0.4 * pairs.ci + 0.2 * lobe)[None, :, None]
     diffuse = pairs.ci.expand(1, -1)
-    assert materials._left(made, diffuse, lobe).item() == pytest.approx(0, abs=1e-6)
+    assert materials.remaining_error(made, diffuse, lobe).item() == pytest.approx(0, abs=1e-6)
     # A highlight cannot be taken away: the best mix without it is the diffuse part alone.
     less = (0.4 * pairs.ci - 0.2 * lobe)[None, :, None]
     alone = (1 - (less[0, :, 0] @ pairs.ci) ** 2 / (less.square().sum() * pairs.ci.square().sum())).sqrt()
-    assert materials._left(less, diffuse, lobe).item() == pytest.approx(alone.item(), rel=1e-9)
+    assert materials.remaining_error(less, diffuse, lobe).item() == pytest.approx(alone.item(), rel=1e-9)
 
 
 def test_directions_are_cosine_weighted_within_their_angle() -> None:

@@ -31,7 +31,7 @@ def unit(*shape: int, dim: int = 1, seed: int = 0, dtype: torch.dtype = torch.fl
     return F.normalize(torch.randn(*shape, generator=generator, dtype=dtype), dim=dim)
 
 
-def random_scene(dtype: torch.dtype = torch.float64) -> tuple[Tensor, ...]:
+def random_scene(dtype: torch.dtype = torch.float64) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
     """Normals, light, view, albedo, roughness; about a quarter of the pixels face both."""
     generator = torch.Generator().manual_seed(5)
     return (
@@ -70,9 +70,10 @@ def test_lambert_shading_is_albedo_times_cosine(model: str) -> None:
 def test_rotation_invariance(model: str) -> None:
     normal, light, view, albedo, roughness = random_scene()
     turn = torch.linalg.qr(unit(3, 3, seed=9)).Q
-    turned = [torch.einsum("ij,bjhw->bihw", turn, t) for t in (normal, light, view)]
     straight = oren_nayar(normal, light, view, albedo, roughness, model=model)
-    assert torch.allclose(oren_nayar(*turned, albedo, roughness, model=model), straight, rtol=0, atol=1e-12)
+    normal, light, view = (torch.einsum("ij,bjhw->bihw", turn, t) for t in (normal, light, view))
+    turned = oren_nayar(normal, light, view, albedo, roughness, model=model)
+    assert torch.allclose(turned, straight, rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("model", ALL)
@@ -242,7 +243,7 @@ def test_gradients_through_normalising() -> None:
     layer = OrenNayar("vcavity", dim=-1, normalise=True)
     normal, light, view, albedo, roughness = facing_scene()
     leaves = [(k * t).detach().requires_grad_() for k, t in ((2.0, normal), (0.5, light), (1.0, view))]
-    assert gradcheck(lambda *directions: layer(*directions, albedo, roughness), leaves)
+    assert gradcheck(lambda *d: layer(d[0], d[1], d[2], albedo, roughness), leaves)
 
 
 def test_layer_defaults_are_a_white_smooth_surface_seen_orthographically() -> None:
@@ -298,7 +299,7 @@ def test_hessians_agree_between_transforms_and_autograd(model: str) -> None:
     scene = facing_scene()
 
     def total(normal: Tensor, sigma: Tensor) -> Tensor:
-        return oren_nayar(normal, *scene[1:4], sigma, model=model).square().sum()
+        return oren_nayar(normal, scene[1], scene[2], scene[3], sigma, model=model).square().sum()
 
     wanted = torch.autograd.functional.hessian(total, (scene[0], scene[4]))
     found = torch.func.hessian(total, (0, 1))(scene[0], scene[4])
@@ -433,9 +434,8 @@ def test_grazing_values_are_not_floored() -> None:
     for cosine in (1e-3, 1e-5, 1e-7):
         low = torch.tensor([[math.sqrt(1 - cosine**2), 0, cosine]]).double()
         value = oren_nayar(UP[None].double(), low, low, 0.5, 0.5, model="qualitative").item()
-        assert value == pytest.approx(
-            oracles.angle_form("qualitative", *[math.acos(cosine)] * 2, 0, 0.5, 0.5) * cosine, rel=1e-6
-        )
+        theta = math.acos(cosine)
+        assert value == pytest.approx(oracles.angle_form("qualitative", theta, theta, 0, 0.5, 0.5) * cosine, rel=1e-6)
 
 
 @pytest.mark.parametrize("model", CLOSED)
@@ -553,11 +553,15 @@ def test_bad_input_names_argument_and_mend(change: dict[str, object], error: typ
 def test_large_maps_of_no_unit_vectors_are_refused_and_gaps_are_not(argument: str) -> None:
     maps = {name: unit(1, 3, 200, 300, seed=k).float() for k, name in enumerate(("normal", "light", "view"))}
     maps[argument][..., :150, :] = 0  # background
-    oren_nayar(**maps, albedo=0.5, roughness=0.3)
-    oren_nayar(**{name: t.bfloat16() for name, t in maps.items()}, albedo=0.5, roughness=0.3)
+
+    def shade(dtype: torch.dtype = torch.float32) -> Tensor:
+        return oren_nayar(maps["normal"].to(dtype), maps["light"].to(dtype), maps["view"].to(dtype), 0.5, 0.3)
+
+    shade()
+    shade(torch.bfloat16)
     maps[argument] = maps[argument] * 0.9  # as averaging leaves them
     with pytest.raises(RangeError, match=f"{argument}.*unit"):
-        oren_nayar(**maps, albedo=0.5, roughness=0.3)
+        shade()
 
 
 @pytest.mark.parametrize(

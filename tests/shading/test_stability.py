@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from scripts.benchmarks import baselines, shading_edge_cases
 from torch_orennayar import MODELS, OrenNayar, oren_nayar
-from torch_orennayar.shading.tiled import working_dtype
+from torch_orennayar.shading.precision import working_dtype
 
-CASES = {case.name: case for case in shading_edge_cases.situations()}
+CASES = {case.name: case for case in shading_edge_cases.edge_cases()}
 HALVES = (torch.bfloat16, torch.float16)
 
 

@@ -10,14 +10,10 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from tests.support import rendered_captures
-from torch_orennayar import angular_error, photometric_stereo
-from torch_orennayar.stereo import interreflection
-from torch_orennayar.stereo import solver as stereo
-from torch_orennayar.stereo.interreflection import (
-    InterreflectedLight,
-    choose_interreflected_light,
-    find_interreflected_light,
-)
+from torch_orennayar import Finding, angular_error, photometric_stereo
+from torch_orennayar.stereo import interreflection, solver
+from torch_orennayar.stereo.interreflected_light import InterreflectedLight
+from torch_orennayar.stereo.interreflection import choose_interreflected_light, find_interreflected_light
 from torch_orennayar.stereo.material import Material
 
 LIGHTS = F.normalize(torch.tensor([[0.2, 0.0, 1], [-0.2, 0.1, 1], [0.0, 0.3, 1], [0.0, -0.2, 1]]), dim=1)
@@ -32,18 +28,20 @@ def groove(length: int, width: int) -> Tensor:
 
 
 @pytest.mark.parametrize("albedo", [0.2, 0.5, 0.8])
-def test_hollows_tell_the_albedo_and_then_their_shape(
+def test_hollows_determine_the_albedo_and_then_their_shape(
     meshes: dict[str, tuple[Tensor, Tensor]], albedo: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The exposure is unknown, so that albedo shows in nothing but the light between the balls."""
     scene = rendered_captures.hollow_capture(meshes["balls"], albedo, size=96)
-    interreflected, told = choose_interreflected_light(scene.images, scene.lights, scene.mask[0], Material(), 0)
+    interreflected, finding = choose_interreflected_light(scene.images, scene.lights, scene.mask[0], Material(), 0)
     assert interreflected is not None
     assert abs(interreflected.strength - albedo) <= 0.2
-    assert f"albedo {interreflected.strength:g}" in told
+    assert finding.code == "interreflection-removed"
+    assert finding.value == interreflected.strength
     found = photometric_stereo(scene.images, scene.lights, scene.mask)
-    assert told in found.report
-    monkeypatch.setattr(stereo, "choose_interreflected_light", lambda *given: (None, ""))
+    assert finding in found.report
+    kept = Finding("not looked for", "interreflection-kept")
+    monkeypatch.setattr(solver, "choose_interreflected_light", lambda *given: (None, kept))
     without = photometric_stereo(scene.images, scene.lights, scene.mask)
     errors = [angular_error(f.normal, scene.normal, scene.mask).summary()["mean"] for f in (found, without)]
     assert errors[0] < 0.9 * errors[1]
@@ -51,17 +49,19 @@ def test_hollows_tell_the_albedo_and_then_their_shape(
 
 def test_a_body_without_hollows_is_left_alone(meshes: dict[str, tuple[Tensor, Tensor]]) -> None:
     scene = rendered_captures.hollow_capture(meshes["bumps"], 0.8, size=96)
-    interreflected, told = choose_interreflected_light(scene.images, scene.lights, scene.mask[0], Material(), 0)
+    interreflected, finding = choose_interreflected_light(scene.images, scene.lights, scene.mask[0], Material(), 0)
     assert interreflected is None
-    assert "hardly" in told
+    assert finding.code == "interreflection-kept"
+    assert "hardly" in finding
 
 
 def test_shadows_without_bounces_are_not_taken_for_some(meshes: dict[str, tuple[Tensor, Tensor]]) -> None:
     """As dark a surface as there is: hollows that send nothing."""
     scene = rendered_captures.hollow_capture(meshes["balls"], 1e-3, size=96)
-    interreflected, told = choose_interreflected_light(scene.images, scene.lights, scene.mask[0], Material(), 0)
+    interreflected, finding = choose_interreflected_light(scene.images, scene.lights, scene.mask[0], Material(), 0)
     assert interreflected is None
-    assert "no better" in told
+    assert finding.code == "interreflection-kept"
+    assert "no better" in finding
 
 
 @pytest.mark.parametrize("most", [100, 10_000])
@@ -150,8 +150,9 @@ def test_sparse_masks_and_gaps_in_light_maps() -> None:
 def test_few_pixels_decide_nothing() -> None:
     inside = torch.zeros(20, 20, dtype=torch.bool)
     inside[5:9, 5:9] = True
-    interreflected, told = choose_interreflected_light(
+    interreflected, finding = choose_interreflected_light(
         torch.ones(8, 1, 20, 20), torch.zeros(8, 3), inside, Material(), 0
     )
     assert interreflected is None
-    assert "hardly" in told
+    assert finding.code == "interreflection-kept"
+    assert "hardly" in finding

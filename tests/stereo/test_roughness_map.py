@@ -12,14 +12,22 @@ from torch import Tensor
 
 from tests.support import rendered_captures
 from torch_orennayar import angular_error, photometric_stereo
-from torch_orennayar.stereo import row_bands as bands
+from torch_orennayar.stereo import row_bands
 from torch_orennayar.stereo.material import Material
 from torch_orennayar.stereo.pixel_grid import Grid
 from torch_orennayar.stereo.roughness_map import LEVELS, RADIUS, STEP, blend, nearest
+from torch_orennayar.stereo.row_bands import solve_bands
+from torch_orennayar.stereo.solved_maps import SolvedMaps
 
 
 def error(case: rendered_captures.Rendered, normal: Tensor) -> float:
     return angular_error(normal, case.normal, case.mask).summary()["mean"]
+
+
+def levels_of(height: int, width: int) -> list[SolvedMaps]:
+    """Maps at every level that differ by their roughness alone."""
+    one = torch.ones(1, height, width)
+    return [SolvedMaps(one.expand(3, -1, -1), one, one, one, one, one * level) for level in LEVELS]
 
 
 @pytest.mark.parametrize(("left", "right"), [(10, 45), (0, 50)])
@@ -27,6 +35,7 @@ def test_a_map_is_found_where_one_roughness_is_not_enough(left: float, right: fl
     scene, truth = rendered_captures.patched_capture(left, right)
     found = photometric_stereo(scene.images, scene.lights, scene.mask)
     one = photometric_stereo(scene.images, scene.lights, scene.mask, model="vcavity")
+    assert isinstance(found.scores, dict)
     assert "varied" in min(found.scores, key=found.scores.__getitem__)
     assert error(scene, found.normal) < 1.0
     assert error(scene, found.normal) < 0.6 * error(scene, one.normal)
@@ -34,7 +43,8 @@ def test_a_map_is_found_where_one_roughness_is_not_enough(left: float, right: fl
         side = (truth - math.radians(degrees)).abs() < 1e-3
         there = torch.rad2deg(found.roughness[side & scene.mask])
         assert there.median().item() == pytest.approx(degrees, abs=5)  # noise hides 10 degrees almost whole
-    assert "differs over the object" in " ".join(found.report)
+    (finding,) = (f for f in found.report if f.code == "roughness-map")
+    assert finding.value == pytest.approx(math.degrees(found.roughness[scene.mask].median().item()), abs=0.01)
     assert isinstance(found.roughness_error, float)
     assert 0 < math.degrees(found.roughness_error) < 10
     relit = found.shade(scene.lights[:2])
@@ -52,23 +62,22 @@ def test_one_roughness_stays_one(degrees: float) -> None:
 
 def test_bands_leave_no_seam(monkeypatch: pytest.MonkeyPatch) -> None:
     scene, _ = rendered_captures.patched_capture(10, 45, lights=12)
-    material = Material("vcavity", varied=True)
-    whole = bands.solve_bands(scene.images, scene.lights, scene.mask[0], material, "lit")
-    monkeypatch.setattr(bands, "BAND", 1)
-    monkeypatch.setattr(bands, "band_height", lambda count, inside: 20)
-    banded = bands.solve_bands(scene.images, scene.lights, scene.mask[0], material, "lit")
-    for name, value in whole.items():
-        assert torch.allclose(banded[name], value, atol=1e-4), name
+    material = Material("vcavity", roughness_varies=True)
+    whole = solve_bands(scene.images, scene.lights, scene.mask[0], material, "lit")
+    monkeypatch.setattr(row_bands, "BAND", 1)
+    monkeypatch.setattr(row_bands, "band_height", lambda count, inside: 20)
+    banded = solve_bands(scene.images, scene.lights, scene.mask[0], material, "lit")
+    for found, wanted in zip(banded.tensors(), whole.tensors(), strict=True):
+        assert torch.allclose(found, wanted, atol=1e-4)
 
 
 @given(place=st.floats(0, len(LEVELS) - 1.0), slope=st.floats(0.1, 10))
 def test_blend_finds_the_lowest_point_of_a_parabola(place: float, slope: float) -> None:
     mask = torch.ones(5, 6, dtype=torch.bool)
     costs = slope * (torch.arange(len(LEVELS)).float() - place).square()[:, None].expand(-1, 30)
-    maps = [{"normal": torch.ones(3, 5, 6), "roughness": torch.full((1, 5, 6), level)} for level in LEVELS]
-    found = blend(maps, costs, Grid(mask))
-    assert torch.allclose(found["roughness"], torch.tensor(place * STEP), atol=1e-3)
-    assert torch.allclose(found["normal"].norm(dim=0), torch.ones(5, 6), atol=1e-6)
+    found = blend(levels_of(5, 6), costs, Grid(mask))
+    assert torch.allclose(found.roughness, torch.tensor(place * STEP), atol=1e-3)
+    assert torch.allclose(found.normal.norm(dim=0), torch.ones(5, 6), atol=1e-6)
 
 
 def test_neighbours_share_the_cost() -> None:
@@ -76,8 +85,7 @@ def test_neighbours_share_the_cost() -> None:
     mask = torch.ones(15, 15, dtype=torch.bool)
     costs = (torch.arange(len(LEVELS)).float() - 2).square()[:, None].repeat(1, 225)
     costs[:, 112] = (torch.arange(len(LEVELS)).float() - 7).square()
-    maps = [{"normal": torch.ones(3, 15, 15), "roughness": torch.full((1, 15, 15), level)} for level in LEVELS]
-    found = blend(maps, costs, Grid(mask))["roughness"]
+    found = blend(levels_of(15, 15), costs, Grid(mask)).roughness
     assert (found - LEVELS[2]).abs().max() < 1.5 * 5 * STEP / (2 * RADIUS + 1) ** 2
 
 

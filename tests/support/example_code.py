@@ -1,4 +1,4 @@
-"""The examples as modules, and the page of `examples/web` served, for tests and benchmarks."""
+"""Import examples as modules and serve the page of `examples/web`, for tests and benchmarks."""
 
 from __future__ import annotations
 
@@ -14,23 +14,26 @@ from types import ModuleType
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 WEB = EXAMPLES / "web"
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+"""Commands by which Chromium is installed."""
 CHROMIUM = next((path for name in BROWSERS if (path := shutil.which(name))), "")
+"""Path of the first of them, or nothing."""
 CAN_BROWSE = bool(CHROMIUM) and (shutil.which("npm") is not None or (WEB / "node_modules").is_dir())
+"""Whether the page can be opened: it needs a browser, and npm unless its modules are installed."""
 
 
 def load(name: str) -> ModuleType:
-    """An example, by its path in the folder without the suffix."""
+    """Import an example by its path below `examples`, without the suffix."""
     spec = importlib.util.spec_from_file_location(Path(name).name, EXAMPLES / f"{name}.py")
     assert spec is not None
     assert spec.loader is not None
-    module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)  # dataclasses look themselves up there
+    module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)  # dataclasses look up their module there
     spec.loader.exec_module(module)
     return module
 
 
 @contextmanager
 def served_page() -> Iterator[str]:
-    """The address of the page while it is served, with what it needs made first."""
+    """Prepare and serve the page; its address."""
     serve = load("web/serve")
     serve.prepare()
     server = serve.server(0)

@@ -1,4 +1,4 @@
-"""Surfaces with exact normals, and pictures of them made with the theory: what shape from shading is judged on."""
+"""Surfaces with exact normals, and pictures of them by the V-cavity theory, to evaluate shape from shading."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Field:
     """A surface seen from the front.
 
     Attributes:
-        name: what it is.
+        name: of the surface or mesh.
         height: (1, H, W) pixels toward the viewer, 0 outside the mask.
         normal: (3, H, W) exact, 0 outside the mask.
         mask: (1, H, W) bool.
@@ -73,7 +73,7 @@ SURFACES: dict[str, tuple[Height, bool]] = {
     "bumpier ellipsoid": (_bumpy_ellipsoid(1), True),
     "wavy sheet": (_wavy_sheet, False),
 }
-"""Height over the picture's square (-1.1 to 1.1, y up), not above 0 outside; whether the mask's edge is a contour."""
+"""Height over the square -1.1 to 1.1 (y up), at most 0 outside the surface; whether the mask's edge is a contour."""
 
 
 def make(name: str, size: int) -> Field:
@@ -89,11 +89,11 @@ def make(name: str, size: int) -> Field:
 
 
 LYING = ("nefertiti",)
-"""Meshes whose z points up."""
+"""Meshes whose z axis points up."""
 
 
 def from_mesh(file: Path, size: int) -> Field:
-    """What a mesh shows from the front; its height field is not smooth where one part hides another."""
+    """A mesh seen from the front; its height field is not smooth where one part hides another."""
     vertices, faces = load_mesh(file)
     if file.stem in LYING:
         x, y, z = vertices.unbind(1)
@@ -106,14 +106,14 @@ def from_mesh(file: Path, size: int) -> Field:
 
 
 def light_at(degrees: float, azimuth: float = 40.0) -> Tensor:
-    """A light so far off the view, toward the right and up."""
+    """A light so many degrees off the view, to the upper right by default."""
     t, a = math.radians(degrees), math.radians(azimuth)
     return torch.tensor([math.sin(t) * math.cos(a), math.sin(t) * math.sin(a), math.cos(t)])
 
 
 @functools.lru_cache(maxsize=64)
 def _theory_table(off_view: float, sigma: float, albedo: float) -> RectBivariateSpline:
-    """Pi times the BRDF of the theory by slant of the normal and its azimuth from the light's, for one light."""
+    """Pi times the BRDF of the theory for one light, by slant of the normal and its azimuth relative to the light."""
     slant, turn = torch.linspace(0, 1.56, 48), torch.linspace(0, math.pi, 49)
     s, t = torch.meshgrid(slant, turn, indexing="ij")
     ci = (s.sin() * t.cos() * math.sin(off_view) + s.cos() * math.cos(off_view)).clamp_min(2e-3).flatten()
@@ -125,7 +125,7 @@ def _theory_table(off_view: float, sigma: float, albedo: float) -> RectBivariate
 def photograph(
     field: Field, light: Tensor, sigma: float, *, albedo: float = 0.8, noise: float = 0.01, seed: int = 0
 ) -> Tensor:
-    """A picture (1, H, W) by the theory, attached shadows and noise included."""
+    """A picture (1, H, W) by the V-cavity theory, with attached shadows and noise."""
     normal = field.normal[:, field.mask[0]]
     ci = (normal * light.double()[:, None]).sum(0).clamp_min(0)
     if sigma:

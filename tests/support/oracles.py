@@ -7,6 +7,7 @@ from collections.abc import Callable
 from fractions import Fraction
 
 import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor
 
@@ -79,8 +80,9 @@ def vcavity_two_bounces(ti: float, to: float, dphi: float, sigma: float, nodes: 
     mv, ms = 1 - np.minimum(1, masking), 1 - np.minimum(1, shadow_opposite)
     cos2 = np.cos(2 * theta)
 
-    def d(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        return 0.5 * np.sqrt(x**2 + y**2 + 2 * x * y * cos2)
+    def d(x: npt.NDArray[np.float64], y: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        half: npt.NDArray[np.float64] = 0.5 * np.sqrt(x**2 + y**2 + 2 * x * y * cos2)
+        return half
 
     one = np.ones_like(mv)
     exchange = d(one, mv) + d(one, ms) - d(ms, mv) - d(one, one)
@@ -99,7 +101,7 @@ def directional_albedo_monte_carlo(
     lv = ci * co + ((1 - ci**2) * (1 - co**2)).sqrt() * phi.cos()
     tensor = torch.tensor
     value = function(ci, co, lv, tensor(rho, dtype=torch.float64), tensor(sigma, dtype=torch.float64))  # type: ignore[operator]
-    return value.mean().item()
+    return float(value.mean())
 
 
 def cast_rays(
@@ -172,9 +174,10 @@ def rasterise_exactly(
                 value = (ex - sx) * (py - sy) - (ey - sy) * (px - sx)
                 owned = ey < sy or (ey == sy and ex > sx)
                 weights.append(value if value > 0 or (value == 0 and owned) else None)
-            if any(w is None for w in weights):
+            inner = [w for w in weights if w is not None]
+            if len(inner) < 3:
                 continue
-            depth = sum((Fraction(w, area) * z for w, z in zip(weights, depths, strict=True)), Fraction(0))
+            depth = sum((Fraction(w, area) * z for w, z in zip(inner, depths, strict=True)), Fraction(0))
             known = best[pixel]
             tied[pixel] |= known is not None and abs(known[0] - depth) < Fraction(1, 10**7)
             if known is None or depth < known[0]:

@@ -1,9 +1,9 @@
-"""Rendered captures with the truth: objects x materials x cast shadows, for ranking solvers without photographs.
+"""Rendered captures with true normals: objects x materials x cast shadows, to compare solvers without photographs.
 
-Objects come with the package and trimesh; materials are parameters fitted to measurements (`python -m
-tests.support.rendered_captures measured_brdf.npz` prints them): a matt part, Lambert's, a V-cavity's, or one under a
-glaze whose interface turns light away, and two GGX highlights. What the solvers fit is something else: none of these is
-in their family of models but Lambert without highlights and the V-cavity.
+Objects come with the package and trimesh. Materials are fitted to measurements (`python -m
+tests.support.rendered_captures measured_brdf.npz` prints them): a diffuse part, which is Lambert's, a V-cavity's or
+Lambert's under a glaze whose interface reflects light, and two GGX highlights. Except for Lambert without highlights
+and the V-cavity, none of these is a model that the solvers fit.
 """
 
 from __future__ import annotations
@@ -36,8 +36,11 @@ from torch_orennayar.render.radiosity import SeenSurface, light_between
 from torch_orennayar.synthetic.pixels import transmitted
 
 NOISE = 0.01
+"""Standard deviation of the noise as a share of the brightest pixels."""
 BOUNCE = 0.06
-"""Light that other parts of the object send into a shadow or a hollow, as a share of the lit surface's mean."""
+"""Light in shadows as a share of the mean of the lit surface, in place of interreflection; set by hand."""
+LEAST_FACING = 0.05
+"""Cosine to the view below which pixels are left out of the mask: they lie within a pixel of the silhouette."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +81,7 @@ MATERIALS: dict[str, Surface] = {
 
 
 def glazed(ci: Tensor, co: Tensor) -> Tensor:
-    """Lambert's surface under a smooth interface of refractive index 1.5 (Wolff 1994, without the inner bounces)."""
+    """Lambert's surface under a smooth interface of index 1.5 (Wolff 1994, without internal reflections)."""
     return transmitted(ci, 1.5) * transmitted(co, 1.5)
 
 
@@ -147,7 +150,7 @@ def lit_view(vertices: Tensor, faces: Tensor, lights: int, size: int) -> tuple[N
 def capture(
     mesh: tuple[Tensor, Tensor], surface: Surface, *, lights: int = 48, size: int = 128, seed: int = 0
 ) -> Rendered:
-    """Photographs of ``mesh``: shading, cast shadows, a little light in the shadows, noise."""
+    """Pictures of ``mesh`` with shading, cast shadows, a little light in the shadows, and noise."""
     seen, directions, reached = lit_view(*mesh, lights, size)
     normal, mask = seen.normal[0], seen.mask[0]
     images = shade(surface, normal, directions)
@@ -156,11 +159,11 @@ def capture(
     noise = torch.randn(images.shape, generator=torch.Generator().manual_seed(seed))
     bright = images[:, :, mask[0]].quantile(0.95) if mask.sum() * lights < 1_000_000 else images.max()
     images = images + NOISE * noise * bright
-    return Rendered(images.clamp_min(0) * mask, directions, mask & (normal[2:] > 0.05), normal)
+    return Rendered(images.clamp_min(0) * mask, directions, mask & (normal[2:] > LEAST_FACING), normal)
 
 
 def hollow_capture(mesh: tuple[Tensor, Tensor], albedo: float, *, lights: int = 32, size: int = 128) -> Rendered:
-    """Photographs of unknown exposure of a Lambertian ``mesh`` whose parts light each other, with shadows and noise."""
+    """Pictures of unknown exposure of a Lambertian ``mesh`` with interreflection, cast shadows and noise."""
     seen, directions, reached = lit_view(*mesh, lights, size)
     inside = seen.mask[0, 0]
     surface = SeenSurface.of(seen)
@@ -173,11 +176,11 @@ def hollow_capture(mesh: tuple[Tensor, Tensor], albedo: float, *, lights: int = 
     shown = shown + NOISE * shown.amax() * torch.randn(shown.shape, generator=generator)
     images = torch.zeros(lights, 1, size, size)
     images[:, 0, inside] = shown.clamp_min(0).T
-    return Rendered(images, directions, seen.mask[0] & (seen.normal[0, 2:] > 0.05), seen.normal[0])
+    return Rendered(images, directions, seen.mask[0] & (seen.normal[0, 2:] > LEAST_FACING), seen.normal[0])
 
 
 def patched_capture(left: float, right: float, *, lights: int = 36, size: int = 72) -> tuple[Rendered, Tensor]:
-    """The bumpy object, its left half of one roughness in degrees and its right half of another; and their map."""
+    """The bumpy object with one roughness in degrees on its left half and another on its right, and their map."""
     vertices, faces = objects()["bumps"]
     seen = render_normals(vertices, faces, Camera.orthographic(1.02), (size, size))
     directions, normal, mask = spiral_lights(lights, math.radians(50)), seen.normal[0], seen.mask[0]
@@ -185,7 +188,7 @@ def patched_capture(left: float, right: float, *, lights: int = 36, size: int = 
     roughness = torch.where(here, math.radians(left), math.radians(right))
     images = OrenNayar("vcavity")(seen.normal, directions[None], albedo=0.7, roughness=roughness[None])[0]
     images = images + NOISE * torch.randn(images.shape, generator=torch.Generator().manual_seed(0))
-    return Rendered(images.clamp_min(0) * mask, directions, mask & (normal[2:] > 0.05), normal), roughness
+    return Rendered(images.clamp_min(0) * mask, directions, mask & (normal[2:] > LEAST_FACING), normal), roughness
 
 
 @dataclass(frozen=True)
@@ -201,7 +204,7 @@ class NearLit:
 
 
 def near_capture(mesh: tuple[Tensor, Tensor], *, lights: int = 24, size: int = 96) -> NearLit:
-    """Photographs of ``mesh`` in perspective, rough, under point lights one and a half diameters away, with noise."""
+    """Pictures of a rough ``mesh`` in perspective under point lights one and a half diameters away, with noise."""
     vertices, faces = mesh
     camera = Camera.perspective(math.radians(35), eye=(0.0, 0.0, 4.0))
     seen = render_normals(vertices, faces, camera, (size, size))
@@ -218,7 +221,7 @@ def near_capture(mesh: tuple[Tensor, Tensor], *, lights: int = 24, size: int = 9
 
 
 def fit_surfaces(file: Path) -> dict[str, Surface]:
-    """The parameters nearest to each measured material, relative errors of grey values weighed alike."""
+    """The parameters nearest to each measured material by relative error of grey values."""
     from scipy.optimize import nnls
 
     table = np.load(file)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import fields, replace
 from itertools import islice
+from typing import cast
 
 import pytest
 import torch
@@ -15,8 +17,8 @@ from torch import Tensor
 from torch.utils.data import DataLoader
 
 import torch_orennayar as ton
-from torch_orennayar import SyntheticCaptures
-from torch_orennayar.synthetic.pixels import Ingredients, transmitted
+from torch_orennayar import Ingredients, SyntheticCaptures, SyntheticImages, SyntheticPixels
+from torch_orennayar.synthetic.pixels import transmitted
 
 PLAIN = Ingredients(
     rough=0, glazed=0, retro=0, falloff=0, glossy=0, metal=0, sheen=0, shadows=0, bounce=False, ambient=0,
@@ -24,7 +26,12 @@ PLAIN = Ingredients(
 )  # fmt: skip
 
 
-def lambert(sample: dict[str, Tensor]) -> Tensor:
+def tensors(sample: SyntheticPixels | SyntheticImages) -> Mapping[str, Tensor]:
+    """For tests that go over all tensors of a sample."""
+    return cast("Mapping[str, Tensor]", sample)
+
+
+def lambert(sample: SyntheticPixels) -> Tensor:
     return (sample["lights"] * sample["normal"][:, None]).sum(2).clamp_min(0)
 
 
@@ -67,8 +74,8 @@ def test_every_switch_changes_what_is_seen(ingredient: str, value: object) -> No
     before = SyntheticCaptures(mix=mix).sample(5)
     after = SyntheticCaptures(mix=replace(mix, **{ingredient: value})).sample(5)  # type: ignore[arg-type]
     assert torch.equal(before["normal"], after["normal"])
-    assert not torch.equal(before["lights" if ingredient == "light_error" else "observed"],
-                           after["lights" if ingredient == "light_error" else "observed"])  # fmt: skip
+    changed = "lights" if ingredient == "light_error" else "observed"
+    assert not torch.equal(tensors(before)[changed], tensors(after)[changed])
 
 
 def test_easy_pixels_have_no_walls_and_no_bad_photographs() -> None:
@@ -91,7 +98,7 @@ def test_easy_pixels_have_no_walls_and_no_bad_photographs() -> None:
 def test_any_mix_gives_sound_samples(seed: int, index: int, most: int, switches: dict[str, float]) -> None:
     captures = SyntheticCaptures(seed=seed, mix=Ingredients(**switches), lights=(3, most), observations=300)  # type: ignore[arg-type]
     sample, again = captures.sample(index), captures.sample(index)
-    assert all(torch.equal(sample[name], again[name]) for name in sample)
+    assert all(torch.equal(value, tensors(again)[name]) for name, value in tensors(sample).items())
     observed, lights, normal = sample["observed"], sample["lights"], sample["normal"]
     assert observed.shape == lights.shape[:2]
     assert 3 <= observed.shape[1] <= most
@@ -135,12 +142,12 @@ def test_seeds_and_indices_differ() -> None:
 )
 def test_mistakes(options: dict[str, object]) -> None:
     with pytest.raises(ton.RangeError):
-        SyntheticCaptures(**options)  # type: ignore[arg-type]
+        SyntheticCaptures(**options)  # type: ignore[call-overload]
 
 
 def in_scenes(
     count: int, meshes: list[tuple[Tensor, Tensor]] | None = None, **switches: object
-) -> list[dict[str, Tensor]]:
+) -> list[SyntheticPixels]:
     """The first samples of a source that stand in a scene: their lights are the same for all pixels."""
     mix = replace(PLAIN, **switches)  # type: ignore[arg-type]
     source = SyntheticCaptures(mix=mix, scenes=1, meshes=meshes, observations=2000, lights=(12, 40))
@@ -180,7 +187,7 @@ class TestScenes:
             [source.sample(k) for k in range(20)]
 
     def test_what_was_drawn_before_does_not_matter(self) -> None:
-        def source() -> SyntheticCaptures:
+        def source() -> SyntheticCaptures[SyntheticPixels]:
             return SyntheticCaptures(scenes=2, observations=300, lights=(12, 20), seed=2)
 
         fresh, used = source(), source()
@@ -194,8 +201,8 @@ class TestScenes:
         before, later = (SyntheticCaptures("pixels", scenes=3, observations=600) for _ in range(2))
         before.render_scenes(workers)
         for index in range(8):
-            for name, value in before.sample(index).items():
-                assert torch.equal(value, later.sample(index)[name])
+            for name, value in tensors(before.sample(index)).items():
+                assert torch.equal(value, tensors(later.sample(index))[name])
 
     def test_there_are_as_many_lights_as_asked_for(self) -> None:
         source = SyntheticCaptures(scenes=1, lights=(20, 70), observations=700)
@@ -242,8 +249,12 @@ class TestImages:
     def test_hollows_light_themselves_and_flat_parts_do_not(self) -> None:
         """Two walls at right angles: each sends light to the other, most near the edge; a single wall gets none."""
         for triangles, gains in ((WALLS, True), (WALLS[:2], False)):
-            options = {"lights": (4, 4), "meshes": [(RIDGE, triangles)], "seed": 3}
-            plain, lit = (SyntheticCaptures("images", mix=replace(PLAIN, bounce=b), **options) for b in (False, True))  # type: ignore[arg-type]
+            plain, lit = (
+                SyntheticCaptures(
+                    "images", mix=replace(PLAIN, bounce=b), lights=(4, 4), meshes=[(RIDGE, triangles)], seed=3
+                )
+                for b in (False, True)
+            )
             changed = 0
             for index in range(8):
                 before, after = plain.sample(index), lit.sample(index)
@@ -266,7 +277,7 @@ class TestImages:
     @given(index=st.integers(0, 2**31))
     def test_any_picture_is_sound(self, index: int) -> None:
         sample = SyntheticCaptures("images", lights=(3, 8), size=(24, 32)).sample(index)
-        assert all(bool(value.isfinite().all()) for value in sample.values())
+        assert all(bool(value.isfinite().all()) for value in tensors(sample).values())
         assert sample["images"].min() >= 0
         assert sample["images"].max() <= 1
         assert bool(sample["mask"].any())
@@ -276,3 +287,10 @@ class TestImages:
 def test_every_ingredient_is_documented() -> None:
     for field in fields(Ingredients):
         assert f"    {field.name}: " in (Ingredients.__doc__ or "")
+
+
+def test_samples_collate_into_batches() -> None:
+    captures = SyntheticCaptures("images", lights=(3, 3), size=(16, 20), length=4)
+    for batch in DataLoader(captures, batch_size=2):
+        assert batch["images"].shape == (2, 3, 3, 16, 20)
+        assert batch["mask"].dtype == torch.bool

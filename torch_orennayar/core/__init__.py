@@ -1,1 +1,1 @@
-"""Errors, argument checks, files and progress: what every other folder may use, and which uses none of them."""
+"""Errors, argument checks, output files, progress and warnings; every folder may import it, and it imports none."""

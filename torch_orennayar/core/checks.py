@@ -1,4 +1,4 @@
-"""Checks at the boundary, which cost nothing while torch compiles or exports."""
+"""Checks of the arguments of public functions; checks of values are skipped while torch compiles or exports."""
 
 from __future__ import annotations
 
@@ -10,17 +10,25 @@ from torch import Tensor
 
 from .errors import CaptureError, RangeError, ShapeError
 
-LOOKED_AT = 2048
-"""Of this many directions of a map the length is checked; of smaller tensors that of all."""
+SAMPLED_DIRECTIONS = 2048
+"""Number of directions of a map whose length is checked. Set by hand: few enough to cost nothing beside the shading."""
+UNIT_TOLERANCE = 0.02
+"""Largest deviation of a unit vector's length from 1. Set by hand above the rounding of bfloat16 (0.4 %) and of 8-bit
+colours (0.7 %)."""
 
 
 def checking() -> bool:
-    """Whether values may be looked at now."""
+    """Whether values may be read now: not while torch compiles or exports."""
     return not torch.compiler.is_compiling()
 
 
 def check_mask(mask: Tensor | None, image: Tensor) -> Tensor:
-    """The mask (1, H, W) bool of the object in ``image`` (..., H, W), not empty; all pixels where there is none."""
+    """The mask (1, H, W) bool of the object in ``image`` (..., H, W), all pixels if it is None.
+
+    Raises:
+        ShapeError: another shape or dtype.
+        CaptureError: the mask is empty.
+    """
     size = (1, *image.shape[-2:])
     if mask is None:
         return torch.ones(size, dtype=torch.bool, device=image.device)
@@ -29,24 +37,24 @@ def check_mask(mask: Tensor | None, image: Tensor) -> Tensor:
             "mask", expected=f"{size} bool", got=f"{tuple(mask.shape)} {mask.dtype}", mend="mask[None] > 0.5"
         )
     if not bool(mask.any()):
-        raise CaptureError("mask", expected="some pixels", got="none", mend="mark the object")
+        raise CaptureError("mask", expected="at least one pixel", got="none", mend="mark the object")
     return mask
 
 
 def check_axis(argument: str, tensor: Tensor, axis_from_end: int, sizes: tuple[int, ...]) -> None:
-    """``tensor`` has one of ``sizes`` along the axis that lies ``axis_from_end`` (negative) from its end."""
+    """Check that ``tensor`` has one of ``sizes`` along ``axis_from_end``, a negative axis."""
     if tensor.ndim < -axis_from_end or tensor.shape[axis_from_end] not in sizes:
         wanted = " or ".join(str(s) for s in sizes)
         raise ShapeError(
             argument,
-            expected=f"size {wanted} along axis {axis_from_end} (x, y, z or channels lie there)",
+            expected=f"size {wanted} along axis {axis_from_end}, that of x, y, z or channels",
             got=f"shape {tuple(tensor.shape)}",
             mend="reshape it so that it broadcasts, e.g. light.reshape(B, 3, 1, 1), or pass dim=",
         )
 
 
 def check_broadcast(axis_from_end: int, **values: Tensor | float) -> None:
-    """The tensors among ``values`` broadcast, apart from the axis that holds x, y, z or channels."""
+    """Check that the tensors among ``values`` broadcast along all axes but that of x, y, z or channels."""
     shapes = {name: tuple(v.shape) for name, v in values.items() if isinstance(v, Tensor)}
     rest = [list(shape) for shape in shapes.values()]
     for shape in rest:
@@ -64,7 +72,7 @@ def check_broadcast(axis_from_end: int, **values: Tensor | float) -> None:
 
 
 def check_channels(axis_from_end: int, **values: Tensor | float) -> None:
-    """Tensors among ``values`` have an axis for channels, and those with several channels have equally many."""
+    """Check that tensors among ``values`` have an axis of channels, with one channel or one common number of them."""
     counts = {}
     for name, value in values.items():
         if isinstance(value, Tensor) and value.ndim > 0:
@@ -80,7 +88,8 @@ def check_channels(axis_from_end: int, **values: Tensor | float) -> None:
                 raise ShapeError(
                     name, expected="channels", got=f"shape {tuple(value.shape)}", mend="give it at least 1"
                 )
-    if checking() and len(set(counts.values()) - {1}) > 1:  # comparing sizes would fix them in a graph
+    # Not during export: comparing dynamic sizes would make them constants of the graph.
+    if checking() and len(set(counts.values()) - {1}) > 1:
         raise ShapeError(
             ", ".join(counts),
             expected="1 or equally many channels",
@@ -90,7 +99,7 @@ def check_channels(axis_from_end: int, **values: Tensor | float) -> None:
 
 
 def check_range(argument: str, value: Tensor | float, low: float, high: float, mend: str) -> None:
-    """Every number of ``value`` lies in [low, high]; NaN does not."""
+    """Check that every number of ``value`` lies in [low, high]; NaN does not."""
     if not checking():
         return
     if isinstance(value, Tensor):
@@ -98,7 +107,7 @@ def check_range(argument: str, value: Tensor | float, low: float, high: float, m
             return
         try:
             least, most = (float(v) for v in value.detach().aminmax())
-        except RuntimeError:  # inside vmap values cannot be looked at
+        except RuntimeError:  # values cannot be read inside vmap
             return
     else:
         least = most = float(value)
@@ -112,21 +121,22 @@ def check_range(argument: str, value: Tensor | float, low: float, high: float, m
 
 
 def check_unit(argument: str, vectors: Tensor, dim: int, *, gaps: bool = True) -> None:
-    """Directions are of unit length within a half's rounding; ``gaps`` allows zero or non-finite ones, as maps have.
+    """Check that directions have unit length within `UNIT_TOLERANCE`.
 
-    Of a map, vectors evenly spread over it are looked at: mistakes (colours not decoded, normals averaged by a change
-    of size) show in many places, and the look must cost nothing beside the shading.
+    ``gaps`` allows zero and non-finite vectors, which maps have in the background. Of a large map only
+    `SAMPLED_DIRECTIONS` vectors are checked, spread evenly over it: the usual mistakes (colours not decoded, normals
+    averaged by resizing) show in many places.
     """
     if not checking() or vectors.numel() == 0:
         return
-    vectors = _spread(vectors.detach(), dim % vectors.ndim)
+    vectors = _sample(vectors.detach(), dim % vectors.ndim)
     length = vectors.double().norm(dim=dim)
-    wrong = ~((length - 1).abs() <= 0.02)
+    wrong = ~((length - 1).abs() <= UNIT_TOLERANCE)
     if gaps:
         wrong &= length.isfinite() & (length > 0)
     try:
         found = bool(wrong.any())
-    except RuntimeError:  # inside vmap values cannot be looked at
+    except RuntimeError:  # values cannot be read inside vmap
         return
     if found:
         raise RangeError(
@@ -137,19 +147,19 @@ def check_unit(argument: str, vectors: Tensor, dim: int, *, gaps: bool = True) -
         )
 
 
-def _spread(vectors: Tensor, axis: int) -> Tensor:
-    """At most about `LOOKED_AT` of the vectors, from all over the tensor."""
+def _sample(vectors: Tensor, axis: int) -> Tensor:
+    """About `SAMPLED_DIRECTIONS` of the vectors at most, spread evenly over the tensor."""
     axes = sorted((d for d in range(vectors.ndim) if d != axis), key=lambda d: vectors.shape[d])
-    for k, d in enumerate(axes):  # the shortest first: what they cannot spare the longer ones give
-        excess = vectors.numel() / vectors.shape[axis] / LOOKED_AT
-        # Odd, so that what repeats every second pixel does not hide.
+    for k, d in enumerate(axes):  # the shortest first; the longer ones make up for what it cannot contribute
+        excess = vectors.numel() / vectors.shape[axis] / SAMPLED_DIRECTIONS
+        # An odd step, so that a pattern that repeats every second pixel is not missed.
         step = min(vectors.shape[d], math.ceil(max(excess, 1) ** (1 / (len(axes) - k))) | 1)
         vectors = vectors[(slice(None),) * d + (slice(step // 2, None, step),)]
     return vectors
 
 
 def check_numbers(**values: object) -> None:
-    """All values are real tensors or real numbers."""
+    """Check that all values are real tensors or real numbers."""
     for argument, value in values.items():
         if isinstance(value, Real) or (isinstance(value, Tensor) and not value.is_complex()):
             continue
@@ -162,7 +172,7 @@ def check_numbers(**values: object) -> None:
 
 
 def check_floating(**values: object) -> None:
-    """All values are floating-point tensors."""
+    """Check that all values are floating-point tensors."""
     for argument, value in values.items():
         if not isinstance(value, Tensor) or not value.is_floating_point():
             raise ShapeError(

@@ -1,10 +1,18 @@
-"""The one family of errors that a user of this package can cause."""
+"""The errors that a user of this package can cause, all of one base class."""
 
 from __future__ import annotations
 
 
 class TorchOrenNayarError(Exception):
-    """Base of every error that a user can cause; the message names what was wrong and the mend.
+    """Base class of all errors that a user can cause.
+
+    The message is ``argument: expected ..., got ...; mend``.
+
+    Attributes:
+        argument: name of the argument, file or setting.
+        expected: what it should have been.
+        got: what it was.
+        mend: what to do about it.
 
     Example:
         >>> import torch_orennayar as ton
@@ -20,7 +28,7 @@ class TorchOrenNayarError(Exception):
         super().__init__(f"{argument}: expected {expected}, got {got}; {mend}")
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Survive pickling, so that errors cross process borders (data loader workers) whole."""
+        """Pickle with all attributes, so that errors reach the parent process from data loader workers."""
         return _rebuild, (type(self), self.argument, self.expected, self.got, self.mend)
 
 
@@ -29,24 +37,28 @@ def _rebuild(kind: type[TorchOrenNayarError], argument: str, expected: str, got:
 
 
 class ShapeError(TorchOrenNayarError, ValueError):
-    """A tensor has the wrong shape, or shapes do not fit together."""
+    """A tensor has the wrong shape or dtype, or shapes do not fit together."""
 
 
 class RangeError(TorchOrenNayarError, ValueError):
-    """A value is outside the range in which the answer means something, or is not finite."""
+    """A value is outside the range in which the result has a meaning, or is not finite."""
 
 
 class ModelError(TorchOrenNayarError, ValueError):
-    """A reflectance model is unknown, already taken, or broken."""
+    """A reflectance model is unknown or broken, or its name is taken."""
 
 
 class CaptureError(TorchOrenNayarError, ValueError):
-    """A capture does not determine what was asked for (too few lights, coplanar lights, ...)."""
+    """A capture does not determine the requested result (too few lights, coplanar lights, ...)."""
 
 
 class FileError(TorchOrenNayarError, OSError):
-    """A file is missing, damaged, of the wrong kind, or outside the folder it belongs to."""
+    """A file is missing, damaged, of the wrong kind, or outside the folder it belongs in."""
 
 
 class ExportError(TorchOrenNayarError, RuntimeError):
     """A graph could not be written, or does not compute what torch computes."""
+
+
+class MissingPackageError(TorchOrenNayarError, ImportError):
+    """A third-party package that only this part needs is not installed; the message holds the ``pip`` command."""

@@ -1,4 +1,4 @@
-"""Outputs appear whole or not at all: written under a temporary name, then renamed."""
+"""Atomic output: files are written to a temporary folder and moved into place when complete."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from .errors import FileError
 
 @contextmanager
 def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """A temporary file beside ``path`` to write to; renamed to ``path`` if the block succeeds, else removed."""
+    """A temporary path to write to; the file is moved to ``path`` if the block succeeds, and removed if it fails."""
     target = Path(path)
     with atomic_directory(target.parent) as folder:
         yield folder / target.name
 
 
 def check_output(path: str | os.PathLike[str]) -> None:
-    """Refuse an output folder that cannot be written, before any work is done for it.
+    """Check that an output folder can be written, before long work is done for it.
 
     Raises:
-        FileError: ``path`` is a file, or the place cannot be written.
+        FileError: ``path`` is a file, or cannot be written to.
     """
     with atomic_directory(path):
         pass
@@ -32,13 +32,13 @@ def check_output(path: str | os.PathLike[str]) -> None:
 
 @contextmanager
 def atomic_directory(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """A temporary folder; its files move into ``path`` if the block succeeds, else they vanish.
+    """A temporary folder; its files are moved into ``path`` if the block succeeds, and removed if it fails.
 
-    Files that ``path`` already holds under other names stay. The temporary folder lies inside ``path``
-    where that exists, else beside it, so that moving is a rename on one file system.
+    Other files that ``path`` already contains stay. The temporary folder is inside ``path`` if that exists and beside
+    it if not, so that a move is a rename within one file system.
 
     Raises:
-        FileError: ``path`` is a file, or the place cannot be written.
+        FileError: ``path`` is a file, or cannot be written to.
     """
     target = Path(path)
     if target.exists() and not target.is_dir():
@@ -59,12 +59,12 @@ def atomic_directory(path: str | os.PathLike[str]) -> Iterator[Path]:
                 str(target), expected=f"a place for the file {blocked[0].name}", got="a folder", mend="move it away"
             )
         for source in sorted(temporary.rglob("*")):
-            goal = target / source.relative_to(temporary)
+            destination = target / source.relative_to(temporary)
             if source.is_dir():
-                goal.mkdir(parents=True, exist_ok=True)
+                destination.mkdir(parents=True, exist_ok=True)
             else:
-                goal.parent.mkdir(parents=True, exist_ok=True)
-                source.replace(goal)
+                destination.parent.mkdir(parents=True, exist_ok=True)
+                source.replace(destination)
     except OSError as error:
         if isinstance(error, FileError):
             raise

@@ -3,6 +3,15 @@
 from __future__ import annotations
 
 CODES: dict[str, str] = {
+    # loading a capture
+    "read-as-srgb": "the images were read as sRGB-encoded",
+    "read-as-linear": "the images were read as linear light",
+    "half-precision": "a large capture, whose images are kept in half precision",
+    "ambient-subtracted": "a photograph with all lights off was subtracted",
+    "no-intensities": "no file of light intensities; all lights are taken as equally bright",
+    "intensities-from-capture": "light intensities were estimated from the capture itself",
+    "lights-from-ball": "light directions come from a mirror ball; value: its radius in pixels",
+    "no-mask": "no mask; every pixel is taken as the object",
     # choice of a model
     "model-chosen": "which model or kind of material was chosen, and why",
     # photometric stereo

@@ -1,4 +1,4 @@
-"""Every use of a name that torch keeps private, in one tested place: `tests/core/test_torch_private.py`."""
+"""Every use of a name that torch keeps private; `tests/core/test_torch_private.py` checks the installed torch."""
 
 from __future__ import annotations
 
@@ -20,12 +20,19 @@ def is_legacy_batched(value: Tensor) -> bool:
     return batched
 
 
-def assume(condition: bool) -> None:
-    """Tell the tracer of ``torch.export`` that ``condition``, about a size that depends on data, holds."""
+def assume(condition: bool | torch.SymBool) -> None:
+    """Tell the tracer of ``torch.export`` that ``condition`` holds, which is about a size that depends on data.
+
+    Raises:
+        RuntimeError: outside a tracer, if ``condition`` is false.
+    """
     torch._check(condition)
 
 
 def without_runtime_assertions() -> AbstractContextManager[None]:
-    """Export without assertions on sizes that depend on data, which ONNX cannot express."""
+    """Keep ``ExportedProgram.run_decompositions`` from inserting assertions on sizes that depend on data.
+
+    ONNX cannot express them. ``torch.onnx.export`` decomposes too, and would insert again those that were removed.
+    """
     context: AbstractContextManager[None] = torch._dynamo.config.patch(do_not_emit_runtime_asserts=True)
     return context

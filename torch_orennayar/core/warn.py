@@ -5,13 +5,13 @@ from __future__ import annotations
 import sys
 import warnings
 
-_SKIPPED = ("torch_orennayar", "torch")
-"""Packages whose frames are not the user's."""
+_SKIPPED_PACKAGES = ("torch_orennayar", "torch")
+"""Top-level packages whose frames are not the user's."""
 
 
 def warn(message: str) -> None:
-    """Issue a ``UserWarning`` that is attributed to the nearest caller outside this package and torch."""
+    """Issue a ``UserWarning`` attributed to the nearest caller outside this package and torch."""
     level, frame = 1, sys._getframe(0)
-    while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] in _SKIPPED:
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] in _SKIPPED_PACKAGES:
         level, frame = level + 1, frame.f_back
     warnings.warn(message, stacklevel=level)

@@ -3,28 +3,68 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from torch import Tensor
 
 from ..stereo.closed_form import Prepare
-from ..stereo.network_solver import CHUNK, Paint, Smooth
+from ..stereo.network_solver import CHUNK, NETWORK, TRAINED_LIGHTS, Paint, Smooth, solve_network
 from ..stereo.set_network import load_network
 from .nodes import Nodes
-from .pixel_graph import PixelGraph
+from .pixel_graph import CAPTURE_METADATA, INPUTS, PixelGraph, capture_trials
+from .task import ExportTask
 
 if TYPE_CHECKING:
     import onnx
 
 
-def network_graph() -> onnx.ModelProto:
-    """The graph: as `solve_network`; ``error``, what the network expects, radians, comes last."""
-    from onnx import TensorProto, helper
+def network_task() -> ExportTask:
+    """`solve_network` with the weights that ship."""
+    metadata = CAPTURE_METADATA | {
+        "model": NETWORK,
+        "roughness": "always 0: the network tells none",
+        "error": "what the network expects its normal to err by, radians",
+        "method": "a set network trained on made-up pixels, 12 to 100 lights; albedo is Lambert's; light between parts "
+        "of the surface is not taken away",
+    }
 
+    def solve(images: Tensor, lights: Tensor, mask: Tensor) -> tuple[Tensor, ...]:
+        found = solve_network(images, lights, mask[0], load_network().to(images.dtype))
+        return found["normal"], found["albedo"], found["roughness"], found["error"]
+
+    return ExportTask(network_graph(), metadata, INPUTS, capture_trials(TRAINED_LIGHTS), solve)
+
+
+def network_graph() -> onnx.ModelProto:
+    """The graph of `solve_network`; the last output, ``error``, is the error that the network expects, radians."""
     graph = PixelGraph(
-        {"chunk": [CHUNK], "turn_back": [-1, 3], "column": [-1, 1], "step": 1, "right_angle": [math.pi / 2]}
+        {"chunk": [CHUNK], "rows_of_three": [-1, 3], "column": [-1, 1], "step": 1, "right_angle": [math.pi / 2]}
     )
     add = graph.add
-    grey, _ = graph.inline(graph.trace(Prepare(), ("seen",), 2), "prepare_", (graph.seen,))
-    # Equal chunks of pixels, the last one filled up with the last pixel, through the network one after the other.
+    grey, _ = graph.inline(graph.trace(Prepare(), ("seen",), 2), "prepare_", (graph.observations,))
+    normal, error = _predict_in_chunks(graph, grey)
+    error_map = add("Min", graph.scatter(error), "right_angle")
+    smooth = graph.trace(Smooth(), ("normal_map", "error_map"), 1)
+    (smoothed,) = graph.inline(smooth, "smooth_", (graph.scatter(normal), error_map))
+    normal_map = add("Where", "mask", smoothed, "float_zero")
+    paint = graph.trace(Paint(), ("seen", "lights", "vector"), 2)
+    albedo, _ = graph.inline(paint, "paint_", (graph.observations, "lights", graph.gather(normal_map)))
+    return graph.finish({
+        "normal": (normal_map, 3),
+        "albedo": (graph.scatter(albedo), "channels"),
+        "roughness": (add("Mul", error_map, "float_zero"), 1),
+        "error": (error_map, 1),
+    })  # fmt: skip
+
+
+def _predict_in_chunks(graph: PixelGraph, grey: str) -> tuple[str, str]:
+    """Normals (P, 3) and errors (P, 1) of the network, which runs on one chunk of pixels after another.
+
+    Chunks have equal sizes; the last one is filled up with copies of the last pixel, cut off again behind the network.
+    """
+    from onnx import TensorProto, helper
+
+    add = graph.add
     pixels, count = add("Shape", grey, end=1), add("Shape", grey, start=1)
     rows = add("Max", add("Div", "chunk", count), "one")
     number = add("Div", add("Sub", add("Add", pixels, rows), "one"), rows)
@@ -33,25 +73,13 @@ def network_graph() -> onnx.ModelProto:
     chunks = add("Reshape", filled, add("Concat", number, rows, count, axis=0))
     inner = Nodes("read_")
     network = graph.trace(load_network(), ("grey", "lights"), 2)
-    found = graph.inline(network, "network_", ("one_chunk", "lights"), inner)
+    predicted = graph.inline(network, "network_", ("one_chunk", "lights"), inner)
 
-    def value(name: str) -> Any:
+    def floats(name: str) -> onnx.ValueInfoProto:
         return helper.make_tensor_value_info(name, TensorProto.FLOAT, None)
 
-    body = helper.make_graph(inner.nodes, "read", [value("one_chunk")], [value(name) for name in found])
-    normals, errors = add.many("Scan", (chunks,), 2, body=body, num_scan_inputs=1)
-    normal = add("Slice", add("Reshape", normals, "turn_back"), "zero", pixels, "zero")
+    body = helper.make_graph(inner.nodes, "read", [floats("one_chunk")], [floats(name) for name in predicted])
+    normals, errors = add.with_outputs(2, "Scan", chunks, body=body, num_scan_inputs=1)
+    normal = add("Slice", add("Reshape", normals, "rows_of_three"), "zero", pixels, "zero")
     error = add("Slice", add("Reshape", errors, "column"), "zero", pixels, "zero")
-
-    error_map = add("Min", graph.lay(error), "right_angle")
-    smooth = graph.trace(Smooth(), ("normal_map", "error_map"), 1)
-    (smoothed,) = graph.inline(smooth, "smooth_", (graph.lay(normal), error_map))
-    normal_map = add("Where", "mask", smoothed, "nothing")
-    paint = graph.trace(Paint(), ("seen", "lights", "vector"), 2)
-    albedo, _ = graph.inline(paint, "paint_", (graph.seen, "lights", graph.pick(normal_map)))
-    return graph.finish({
-        "normal": (normal_map, 3),
-        "albedo": (graph.lay(albedo), "channels"),
-        "roughness": (add("Mul", error_map, "nothing"), 1),
-        "error": (error_map, 1),
-    })  # fmt: skip
+    return normal, error

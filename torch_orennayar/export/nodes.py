@@ -1,4 +1,4 @@
-"""Assemble ONNX graphs: named nodes, traced modules copied in, and the exporter kept quiet."""
+"""Assemble ONNX graphs: append nodes, trace torch modules, and copy the traced nodes in."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ import re
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stdout
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from ..core.errors import ExportError
 
@@ -19,33 +19,41 @@ if TYPE_CHECKING:
     import onnx
 
 OPSET = 18
+"""Version of the ONNX operator set: the one that torch's exporter implements (``TORCHLIB_OPSET`` of ``torch.onnx``)."""
+TERMINAL_COLOURS = re.compile(r"\x1b[^m]*m")
+"""Escape sequences in the exporter's error messages."""
 
 
 class Nodes:
-    """A list of nodes in the making; every call adds one and gives the name of its output."""
+    """A growing list of nodes whose names begin with ``prefix``; calling it appends a node with one output."""
 
     def __init__(self, prefix: str) -> None:
-        self.prefix, self.nodes = prefix, list[Any]()
+        self.prefix, self.nodes = prefix, list["onnx.NodeProto"]()
 
     def __call__(self, operator: str, *inputs: str, **attributes: object) -> str:
-        """A node more."""
-        return self.many(operator, inputs, 1, **attributes)[0]
+        """Append a node; returns the name of its output."""
+        return self.with_outputs(1, operator, *inputs, **attributes)[0]
 
-    def many(self, operator: str, inputs: Sequence[str], outputs: int, **attributes: object) -> list[str]:
-        """A node more, with several outputs."""
+    def with_outputs(self, count: int, operator: str, *inputs: str, **attributes: object) -> list[str]:
+        """Append a node that has ``count`` outputs; returns their names."""
         import onnx
 
         name = f"{self.prefix}{operator.lower()}_{len(self.nodes)}"
-        names = [name if not k else f"{name}_{k}" for k in range(outputs)]
-        self.nodes.append(onnx.helper.make_node(operator, list(inputs), names, name=name, **attributes))
-        return names
+        outputs = [name if not k else f"{name}_{k}" for k in range(count)]
+        self.nodes.append(onnx.helper.make_node(operator, list(inputs), outputs, name=name, **attributes))
+        return outputs
 
 
-def inline(add: Nodes, graph: onnx.GraphProto, prefix: str, given: Mapping[str, str]) -> tuple[list[str], list[Any]]:
-    """Copy the nodes of ``graph`` in, its inputs called as ``given``; names of its outputs, and its constants."""
+def inline(
+    add: Nodes, graph: onnx.GraphProto, prefix: str, inputs: Mapping[str, str]
+) -> tuple[list[str], list[onnx.TensorProto]]:
+    """Copy the nodes of ``graph`` to ``add``, reading ``inputs`` (names outside by names in ``graph``).
+
+    All other names get ``prefix``. Returns the names of the outputs, and the initializers that the nodes need.
+    """
     import onnx
 
-    names = {"": ""} | dict(given)
+    names = {"": ""} | dict(inputs)  # "" is an optional input left out
     for node in graph.node:
         copied = onnx.NodeProto()
         copied.CopyFrom(node)
@@ -54,65 +62,85 @@ def inline(add: Nodes, graph: onnx.GraphProto, prefix: str, given: Mapping[str, 
                 listed[k] = names.get(name, f"{prefix}{name}")
         copied.name = f"{prefix}{node.name}"
         add.nodes.append(copied)
-    constants = []
+    initializers = []
     for value in graph.initializer:
-        constant = onnx.TensorProto()
-        constant.CopyFrom(value)
-        constant.name = f"{prefix}{value.name}"
-        constants.append(constant)
-    return [f"{prefix}{value.name}" for value in graph.output], constants
+        initializer = onnx.TensorProto()
+        initializer.CopyFrom(value)
+        initializer.name = f"{prefix}{value.name}"
+        initializers.append(initializer)
+    return [f"{prefix}{value.name}" for value in graph.output], initializers
 
 
 def as_model(graph: onnx.GraphProto) -> onnx.ModelProto:
-    """The graph with its opset."""
+    """The graph as a model of operator set `OPSET`."""
     from onnx import helper
 
     opsets = [helper.make_opsetid("", OPSET)]
     return helper.make_model(graph, opset_imports=opsets, ir_version=helper.find_min_ir_version_for(opsets))
 
 
-def write_graph(
-    make: Callable[[], Any],
-    example: tuple[Tensor, ...],
-    names: tuple[Sequence[str], Sequence[str]],
-    shapes: Any,
-    subject: tuple[str, str],
-    mend: str,
-) -> onnx.ModelProto:
-    """What ``make`` gives, a module or program, as a graph with ``names`` of inputs and outputs, free of local traces.
+class TraceError(NamedTuple):
+    """What the `ExportError` says where tracing fails: the argument, what it should be, and the remedy."""
 
-    Where that fails the error is about ``subject``, an argument and what was expected of it, and says ``mend``.
+    argument: str
+    expected: str
+    mend: str
+
+
+REFLECTANCE_ERROR = TraceError(
+    "model",
+    "a reflectance function that torch.onnx can export",
+    "build it from element-wise torch operations without Python branches on values",
+)
+"""Where a graph holds the function of a reflectance model, which may be a user's."""
+
+
+def trace(
+    make: Callable[[], nn.Module | torch.export.ExportedProgram],
+    example: tuple[Tensor, ...],
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+    dynamic_shapes: dict[str, Any] | tuple[Any, ...],
+    error: TraceError,
+) -> onnx.ModelProto:
+    """The module or program that ``make`` returns as a graph, without the paths and code that the exporter adds.
+
+    Args:
+        make: called inside, so that its own failure is reported as ``error`` too.
+        example: inputs to trace with.
+        inputs: names of the inputs.
+        outputs: names of the outputs.
+        dynamic_shapes: as ``torch.onnx.export`` takes them.
+        error: what an `ExportError` says.
     """
     try:
         with quiet():
             program = torch.onnx.export(
                 make(),
                 example,
-                input_names=list(names[0]),
-                output_names=list(names[1]),
-                dynamic_shapes=shapes,
+                input_names=list(inputs),
+                output_names=list(outputs),
+                dynamic_shapes=dynamic_shapes,
                 opset_version=OPSET,
                 dynamo=True,
                 verbose=False,
             )
         assert program is not None
-        graph: onnx.ModelProto = program.model_proto
-    except Exception as error:  # the exporter raises many kinds
+        model: onnx.ModelProto = program.model_proto
+    except Exception as failure:  # the exporter raises many kinds
+        first_line = TERMINAL_COLOURS.sub("", str(failure)).partition("\n")[0]
         raise ExportError(
-            subject[0],
-            expected=subject[1],
-            got=f"{type(error).__name__}: {re.sub(chr(27) + '[^m]*m', '', str(error)).partition(chr(10))[0]}",
-            mend=mend,
-        ) from error
-    for node in graph.graph.node:  # traces of the exporting machine: paths and code
+            error.argument, expected=error.expected, got=f"{type(failure).__name__}: {first_line}", mend=error.mend
+        ) from failure
+    for node in model.graph.node:  # paths and code of the exporting machine
         del node.metadata_props[:]
         node.doc_string = ""
-    return graph
+    return model
 
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """The exporter prints and logs its steps; a library call should not."""
+    """Silence the exporter, which prints and logs its steps."""
     loggers = [logging.getLogger(name) for name in ("torch.onnx", "onnxscript", "onnx_ir")]
     levels = [logger.level for logger in loggers]
     try:

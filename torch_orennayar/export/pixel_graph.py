@@ -1,7 +1,8 @@
-"""ONNX graphs that gather the pixels of a mask, work on them and lay the answers out again; every axis is dynamic."""
+"""ONNX graphs that gather the pixels of a mask, compute per pixel and scatter the results; every axis is dynamic."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -9,20 +10,30 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from .nodes import Nodes, as_model, inline, write_graph
+from ..geometry.primitives import Ball, spiral_lights
+from ..shading.functional import oren_nayar
+from .nodes import REFLECTANCE_ERROR, Nodes, as_model, inline, trace
 
 if TYPE_CHECKING:
     import onnx
 
-STEREO_INPUTS = ("images", "lights", "mask")
+INPUTS = ("images", "lights", "mask")
+"""Names of the inputs of both graphs of photometric stereo."""
+CAPTURE_METADATA = {
+    "images": "linear light, each divided by the intensity of its light",
+    "lights": "unit, away from the surface, toward the source",
+    "mask": "true where there is an object; at least one pixel",
+    "albedo": "in the unit of the images; 1 is a white surface under a light of irradiance pi",
+}
+"""Meaning and units of what both graphs of photometric stereo take and return."""
 
 
 class PixelGraph:
-    """A graph in the making: ``images`` (K, C, H, W), ``lights`` (K, 3) and ``mask`` (1, H, W) bool go in.
+    """A graph in the making with inputs ``images`` (K, C, H, W), ``lights`` (K, 3) and ``mask`` (1, H, W) bool.
 
     Attributes:
-        add: takes nodes.
-        seen: name of the pixels inside the mask, (P, C, K).
+        add: appends nodes.
+        observations: name of the images' values inside the mask, (P, C, K).
     """
 
     def __init__(self, constants: Mapping[str, object]) -> None:
@@ -33,24 +44,29 @@ class PixelGraph:
             "keep_one": [0, -1],
             "zero": [0],
             "one": [1],
+            "axis": 0,
+            "float_zero": [0.0],
+            **constants,
         }
-        self._constants |= {"axis": 0, "nothing": [0.0]} | dict(constants)
-        self._held: list[Any] = []
-        self._flat = add("Reshape", "mask", "all")
-        self._place = add("Squeeze", add("NonZero", self._flat), "zero")
-        self.seen = add("Transpose", add("Gather", add("Reshape", "images", "keep_two"), self._place, axis=2),
-                        perm=[2, 1, 0])  # fmt: skip
-        self._row = ""
+        self._traced_constants: list[onnx.TensorProto] = []
+        self._inside = add("Reshape", "mask", "all")
+        self._positions = add("Squeeze", add("NonZero", self._inside), "zero")
+        inside = add("Gather", add("Reshape", "images", "keep_two"), self._positions, axis=2)
+        self.observations = add("Transpose", inside, perm=[2, 1, 0])
+        self._pixel_of_position = ""
 
     def trace(self, module: nn.Module, names: Sequence[str], outputs: int, rows: int | None = None) -> onnx.ModelProto:
-        """The graph of one step; pixels, channels and lights are dynamic, pixels not if there are always ``rows``."""
+        """The graph of a module that takes the inputs called ``names``.
+
+        Pixels, channels and lights are dynamic; if every call has ``rows`` pixels, their number is not.
+        """
         pixels, channels, count, height, width = (
             torch.export.Dim(n) for n in ("pixels", "channels", "count", "height", "width")
         )
         lights = F.normalize(torch.rand(7, 3) + torch.tensor([0.0, 0, 1]), dim=1)
-        row: dict[int, object] = {} if rows else {0: pixels}
+        row: dict[int, Any] = {} if rows else {0: pixels}
         number, area = rows or 11, {1: height, 2: width}
-        examples: dict[str, tuple[Tensor, Any]] = {
+        examples: dict[str, tuple[Tensor, dict[int, Any]]] = {
             "seen": (torch.rand(number, 3, 7), row | {1: channels, 2: count}),
             "lights": (lights, {0: count}),
             "vector": (torch.rand(number, 3), row),
@@ -59,55 +75,59 @@ class PixelGraph:
             **{n: (torch.rand(number, 7), row | {1: count}) for n in ("grey", "middle", "weight")},
             **{n: (torch.rand(number, 1), row) for n in ("level", "roughness")},
         }
-        return write_graph(
+        return trace(
             module.eval,
             tuple(examples[n][0] for n in names),
-            (names, [f"found_{k}" for k in range(outputs)]),
+            names,
+            [f"found_{k}" for k in range(outputs)],
             tuple(examples[n][1] for n in names),
-            ("model", "a reflectance function that torch.onnx can export"),
-            "build it from element-wise torch operations without Python branches on values",
+            REFLECTANCE_ERROR,
         )
 
-    def inline(self, traced: onnx.ModelProto, prefix: str, given: Sequence[str], add: Nodes | None = None) -> list[str]:
-        """Copy the nodes of ``traced`` in, fed with ``given``; the names of what they find."""
-        inputs = (value.name for value in traced.graph.input)
-        found, constants = inline(add or self.add, traced.graph, prefix, dict(zip(inputs, given, strict=True)))
-        self._held += constants
-        return found
+    def inline(
+        self, traced: onnx.ModelProto, prefix: str, inputs: Sequence[str], add: Nodes | None = None
+    ) -> list[str]:
+        """Copy the nodes of ``traced``, reading ``inputs``, to ``add`` or the graph; returns its outputs."""
+        names = (value.name for value in traced.graph.input)
+        outputs, constants = inline(add or self.add, traced.graph, prefix, dict(zip(names, inputs, strict=True)))
+        self._traced_constants += constants
+        return outputs
 
-    def lay(self, values: str) -> str:
-        """Values (P, C) of pixels in the picture, (C, H, W); 0 outside the mask."""
+    def scatter(self, values: str) -> str:
+        """Values of the pixels, (P, C), as a map (C, H, W) that is 0 outside the mask."""
         from onnx import TensorProto
 
         add = self.add
-        if not self._row:  # every pixel of the picture looks up its row
-            before = add("CumSum", add("Cast", self._flat, to=TensorProto.INT64), "axis")
-            self._row = add("Max", add("Sub", before, "one"), "zero")
-        inside = add("Unsqueeze", self._flat, "one")
-        laid = add("Transpose", add("Where", inside, add("Gather", values, self._row), "nothing"), perm=[1, 0])
-        sizes = add("Concat", add("Shape", laid, end=1), add("Shape", "mask", start=1), axis=0)
-        return add("Reshape", laid, sizes)
+        if not self._pixel_of_position:  # every position looks up its pixel, which needs no ScatterND and has no races
+            pixels_up_to = add("CumSum", add("Cast", self._inside, to=TensorProto.INT64), "axis")
+            self._pixel_of_position = add("Max", add("Sub", pixels_up_to, "one"), "zero")
+        inside = add("Unsqueeze", self._inside, "one")
+        everywhere = add("Where", inside, add("Gather", values, self._pixel_of_position), "float_zero")
+        planes = add("Transpose", everywhere, perm=[1, 0])
+        sizes = add("Concat", add("Shape", planes, end=1), add("Shape", "mask", start=1), axis=0)
+        return add("Reshape", planes, sizes)
 
-    def pick(self, picture: str) -> str:
-        """The way back: a picture (C, H, W) at the pixels inside the mask, (P, C)."""
+    def gather(self, values: str) -> str:
+        """The inverse of `scatter`: a map (C, H, W) at the pixels inside the mask, (P, C)."""
         add = self.add
-        return add("Transpose", add("Gather", add("Reshape", picture, "keep_one"), self._place, axis=1), perm=[1, 0])
+        inside = add("Gather", add("Reshape", values, "keep_one"), self._positions, axis=1)
+        return add("Transpose", inside, perm=[1, 0])
 
     def finish(self, outputs: Mapping[str, tuple[str, int | str]]) -> onnx.ModelProto:
-        """The graph; ``outputs`` are pictures and their numbers of channels by name."""
+        """The model; ``outputs`` are maps (C, H, W) with their C, by the name of the output."""
         import numpy as np
         from onnx import TensorProto, helper, numpy_helper
 
         for name, (value, _) in outputs.items():
-            self.add.nodes.append(helper.make_node("Identity", [value], [name], name=f"give_{name}"))
+            self.add.nodes.append(helper.make_node("Identity", [value], [name], name=f"output_{name}"))
         used = {name for node in self.add.nodes for name in _inputs(node)}
         arrays = {name: np.asarray(value) for name, value in self._constants.items() if name in used}
-        held = [
+        constants = [
             numpy_helper.from_array(array.astype(np.float32 if array.dtype.kind == "f" else np.int64), name)
             for name, array in arrays.items()
         ]
 
-        def floats(name: str, sizes: list[object]) -> Any:
+        def floats(name: str, sizes: list[int | str]) -> onnx.ValueInfoProto:
             return helper.make_tensor_value_info(name, TensorProto.FLOAT, sizes)
 
         signature = [
@@ -115,11 +135,27 @@ class PixelGraph:
             floats("lights", ["lights", 3]),
             helper.make_tensor_value_info("mask", TensorProto.BOOL, [1, "height", "width"]),
         ]
-        results = [floats(name, [channels, "height", "width"]) for name, (_, channels) in outputs.items()]
-        return as_model(helper.make_graph(self.add.nodes, "stereo", signature, results, [*held, *self._held]))
+        maps = [floats(name, [channels, "height", "width"]) for name, (_, channels) in outputs.items()]
+        initializers = [*constants, *self._traced_constants]
+        return as_model(helper.make_graph(self.add.nodes, "stereo", signature, maps, initializers))
 
 
 def _inputs(node: onnx.NodeProto) -> list[str]:
     """What a node reads, in loops too."""
     bodies = (attribute.g for attribute in node.attribute if attribute.HasField("g"))
     return [*node.input, *(name for body in bodies for inner in body.node for name in _inputs(inner))]
+
+
+def capture_trials(fewest_lights: int = 3) -> list[tuple[Tensor, ...]]:
+    """Captures of rough and smooth balls with 1 % noise under few lights, from ``fewest_lights`` on, and many."""
+    trials: list[tuple[Tensor, ...]] = []
+    generator = torch.Generator().manual_seed(0)
+    view = torch.tensor([0.0, 0, 1]).reshape(1, 3, 1, 1)
+    for count, channels, size, roughness in ((3, 1, 24, 0.0), (5, 2, 20, 0.0), (24, 3, 40, 0.5), (13, 1, 33, 0.9)):
+        normal, mask = Ball(size / 2, size / 2, 0.45 * size).normals((size, size + 5))
+        lights = spiral_lights(max(count, fewest_lights), math.radians(45))
+        albedo = torch.linspace(0.3, 0.8, channels).reshape(1, -1, 1, 1)
+        images = oren_nayar(normal[None], lights[:, :, None, None], view, albedo, roughness)
+        images = images * (1 + 0.01 * torch.randn(images.shape, generator=generator))
+        trials.append((images.contiguous(), lights, mask))
+    return trials

@@ -1,4 +1,4 @@
-"""Trace the renderer, alone or with shading behind it, into an ONNX graph."""
+"""Trace the renderer, alone or followed by shading, into an ONNX graph."""
 
 from __future__ import annotations
 
@@ -9,20 +9,28 @@ import torch
 from torch import Tensor, nn
 
 from ..core import torch_private
+from ..core.errors import ExportError
+from ..core.optional import require
 from ..geometry.camera import Camera
 from ..reflectance.models import get_model
-from ..render.normal_map import rasterise
-from .nodes import write_graph
-from .shading_graph import Formula
+from ..render.normal_map import check_size, rasterise
+from .nodes import TraceError, trace
+from .shading_graph import Formula, shading_metadata
+from .task import ExportTask
 
 if TYPE_CHECKING:
     import onnx
 
-MAPS = ("normal", "mask", "depth", "face")
+MAPS: tuple[str, ...] = ("normal", "mask", "depth", "face")
+"""Names of the renderer's outputs, fields of `NormalMap`."""
+MESH: tuple[str, ...] = ("vertices", "faces")
+"""Names of the inputs of both graphs."""
+SHADING: tuple[str, ...] = ("light", "albedo", "roughness")
+"""Names of the inputs that shading adds."""
 
 
 class Renderer(nn.Module):
-    """Mesh to maps, and with a ``model`` to shaded pictures before them."""
+    """From a mesh to the maps of `NormalMap`; with a ``model``, shading is returned before them."""
 
     def __init__(self, camera: Camera, size: tuple[int, int], model: str | None) -> None:
         super().__init__()
@@ -37,7 +45,8 @@ class Renderer(nn.Module):
         roughness: Tensor | None = None,
     ) -> tuple[Tensor, ...]:
         """Maps of `NormalMap`; with a model ``light`` (K, 3), ``albedo`` (C,), ``roughness`` (1,) give (K, C, H, W)."""
-        # Depends on an input, so that maps made from it are reckoned when the graph runs and not kept in the file.
+        # A factor that depends on an input: maps made from the camera are computed when the graph runs, where the
+        # exporter would otherwise store them in the file.
         one = (faces[0, 0] * 0 + 1).to(self.camera.focal)
         camera = dataclasses.replace(self.camera, focal=self.camera.focal * one)
         seen = rasterise(vertices[None], faces, camera, self.size)
@@ -57,41 +66,66 @@ class Renderer(nn.Module):
         return (shading, *maps)
 
 
-def renderer_inputs(model: str | None) -> tuple[str, ...]:
-    """Names of the graph's inputs."""
-    return ("vertices", "faces") if model is None else ("vertices", "faces", "light", "albedo", "roughness")
+def renderer_task(camera: Camera | None, size: tuple[int, int] | None, model: str | None) -> ExportTask:
+    """`render_normals` of one mesh, followed by shading with ``model`` unless that is None.
+
+    Raises:
+        ExportError: there is not one camera and a size.
+        ShapeError: a size that `render_normals` refuses.
+    """
+    if camera is None or size is None or len(camera.eye) != 1:
+        got = "none" if camera is None or size is None else f"{len(camera.eye)} cameras"
+        raise ExportError("camera, size", expected="one camera and (H, W)", got=got, mend="give camera= and size=")
+    check_size(size)
+    camera.rays(size)  # raises where camera and size do not fit
+    renderer = Renderer(camera, size, None if model is None else get_model(model).name)
+    inputs = MESH if model is None else MESH + SHADING
+    return ExportTask(renderer_graph(renderer), _metadata(renderer), inputs, renderer_trials(renderer), renderer)
 
 
-def renderer_outputs(model: str | None) -> tuple[str, ...]:
-    """Names of the graph's outputs."""
-    return MAPS if model is None else ("shading", *MAPS)
+def _metadata(renderer: Renderer) -> dict[str, str]:
+    """Meaning and units."""
+    camera, (height, width) = renderer.camera, renderer.size
+    kind = "perspective" if camera.is_perspective else "orthographic"
+    metadata = {
+        "camera": f"{kind}, eye {camera.eye[0].tolist()}, rotation {camera.rotation[0].tolist()}, "
+        f"focal {camera.focal[0].tolist()} and centre {camera.centre[0].tolist()} in half image heights",
+        "size": f"{height} x {width}",
+        "depth": "distance along the viewing axis, infinite where nothing is seen",
+        "face": "index of the visible face, -1 for none",
+    }
+    return metadata if renderer.model is None else metadata | shading_metadata(renderer.model)
 
 
 def renderer_graph(renderer: Renderer) -> onnx.ModelProto:
     """The graph; the numbers of vertices, faces, lights and channels are dynamic."""
+    shaded = renderer.model is not None
+    inputs = MESH + SHADING if shaded else MESH
+    outputs = ("shading", *MAPS) if shaded else MAPS
     example: tuple[Tensor, ...] = (torch.rand(5, 3), torch.tensor([[0, 1, 2], [1, 2, 3], [2, 3, 4]]))
-    shapes: dict[str, dict[int, object]] = {n: {0: torch.export.Dim(n)} for n in ("vertices", "faces")}
-    if renderer.model is not None:
+    shapes: dict[str, dict[int, Any]] = {n: {0: torch.export.Dim(n)} for n in MESH}
+    if shaded:
         example = (*example, torch.rand(4, 3), torch.rand(2), torch.rand(1))
         shapes |= {
             "light": {0: torch.export.Dim("lights")},
             "albedo": {0: torch.export.Dim("channels")},
             "roughness": {},
         }
+    error = TraceError(
+        "renderer",
+        "a graph that torch.onnx can write",
+        "report this with the versions that `orennayar info` prints",
+    )
     with torch_private.without_runtime_assertions():
-        return write_graph(
-            lambda: _trace(renderer, example, shapes),
-            example,
-            (renderer_inputs(renderer.model), renderer_outputs(renderer.model)),
-            shapes,
-            ("renderer", "a graph that torch.onnx can write"),
-            "report this with the versions that `orennayar info` prints",
-        )
+        return trace(lambda: _program(renderer, example, shapes), example, inputs, outputs, shapes, error)
 
 
-def _trace(renderer: Renderer, example: tuple[Tensor, ...], shapes: dict[str, dict[int, object]]) -> Any:
-    """The renderer as a program without checks of the numbers of faces and pixels, which ONNX cannot write."""
-    program = torch.export.export(renderer, example, dynamic_shapes=shapes, strict=False).run_decompositions()
+def _program(
+    renderer: Renderer, example: tuple[Tensor, ...], shapes: dict[str, dict[int, Any]]
+) -> torch.export.ExportedProgram:
+    """The renderer as a program without the checks of the numbers of faces and pixels, which ONNX cannot express."""
+    traced = torch.export.export(renderer, example, dynamic_shapes=shapes, strict=False)
+    program: torch.export.ExportedProgram = traced.run_decompositions()
     for node in list(program.graph.nodes):
         if "assert" in str(node.target) or "sym_constrain" in str(node.target):
             program.graph.erase_node(node)
@@ -100,7 +134,8 @@ def _trace(renderer: Renderer, example: tuple[Tensor, ...], shapes: dict[str, di
 
 
 def renderer_trials(renderer: Renderer) -> list[tuple[Tensor, ...]]:
-    """Inputs to try a graph on: a sphere in view, and triangles of all sizes around the eye, some behind it."""
+    """A sphere in view, and random triangles of all sizes around the eye, some of them behind it."""
+    require("trimesh")
     import trimesh
 
     camera = renderer.camera
@@ -117,8 +152,8 @@ def renderer_trials(renderer: Renderer) -> list[tuple[Tensor, ...]]:
     trials: list[tuple[Tensor, ...]] = [((v.double() @ turn + eye).float(), f) for v, f in meshes]
     if renderer.model is None:
         return trials
-    shades: list[tuple[Tensor, ...]] = []
+    shaded: list[tuple[Tensor, ...]] = []
     for (vertices, faces), lights, channels in zip(trials, (1, 3, 2), (3, 1, 2), strict=True):
         light = torch.nn.functional.normalize(torch.randn(lights, 3, generator=generator), dim=1)
-        shades.append((vertices, faces, light, torch.rand(channels, generator=generator), torch.tensor([0.6])))
-    return shades
+        shaded.append((vertices, faces, light, torch.rand(channels, generator=generator), torch.tensor([0.6])))
+    return shaded

@@ -16,48 +16,32 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from ..core.errors import RangeError, ShapeError
+from ..core.optional import require
+from .frames import swap_opencv_frame
 
 if TYPE_CHECKING:
     from kornia.geometry.camera import PinholeCamera
 
 Vector = Tensor | Sequence[float]
-
-
-def swap_opencv_frame(vectors: Tensor, *, dim: int = 1) -> Tensor:
-    """Between the camera frame here (y up, z to the viewer) and OpenCV's (y down, z forward); its own inverse.
-
-    Args:
-        vectors: points or directions, 3 along ``dim``; differentiable.
-        dim: the axis of x, y, z.
-
-    Returns:
-        The same shape, y and z negated.
-
-    Example:
-        >>> import torch, torch_orennayar as ton
-        >>> ton.swap_opencv_frame(torch.tensor([1.0, 2.0, 3.0]), dim=0).tolist()
-        [1.0, -2.0, -3.0]
-    """
-    shape = [1] * vectors.ndim
-    shape[dim] = 3
-    return vectors * vectors.new_tensor((1.0, -1.0, -1.0)).reshape(shape)
+NEAR = 1e-2
+"""Default distance of the near plane, world units: set by hand for objects of about unit size."""
 
 
 @dataclass(frozen=True)
 class Camera:
     """A batch of cameras; made by `orthographic`, `perspective` or `from_intrinsics`.
 
-    Lengths in the image are in half image heights, so a camera serves every image size (of its aspect
-    ratio, where intrinsics fix one). Tensors may require gradients.
+    Image lengths are in units of half the image height, so that one camera applies to every image size (of its
+    aspect ratio, where intrinsics fix one). Tensors may require gradients.
 
     Attributes:
         rotation: (B, 3, 3) world to camera; its rows are right, up and back.
-        eye: (B, 3) the camera's place in the world.
-        focal: (B, 2) half heights per unit (orthographic) or per unit tangent (perspective), x and y.
-        centre: (B, 2) where the optical axis meets the image, right and up of the middle.
-        is_perspective: else orthographic.
-        near: smallest depth that is seen (perspective only; orthographic cameras clip nothing).
-        aspect: width / height that intrinsics were given for, or None for any.
+        eye: (B, 3) position of the camera in the world.
+        focal: (B, 2) half heights per world unit (orthographic) or per unit tangent (perspective), x and y.
+        centre: (B, 2) the principal point relative to the image centre, in half heights, right and up.
+        is_perspective: True for perspective, False for orthographic projection.
+        near: depth of the near plane, world units (perspective only; orthographic cameras clip nothing).
+        aspect: width / height of the images that intrinsics belong to, or None for any.
     """
 
     rotation: Tensor
@@ -65,7 +49,7 @@ class Camera:
     focal: Tensor
     centre: Tensor
     is_perspective: bool
-    near: float = 1e-2
+    near: float = NEAR
     aspect: float | None = None
 
     @staticmethod
@@ -75,13 +59,16 @@ class Camera:
         target: Vector = (0.0, 0.0, 0.0),
         up: Vector = (0.0, 1.0, 0.0),
     ) -> Camera:
-        """Parallel projection; by default from +z at the origin, y up.
+        """An orthographic camera; by default on the z axis, looking at the origin, y up.
 
         Args:
-            half_height: half the height of the visible field, world units; number or (B,).
-            eye: (3,) or (B, 3); depth is counted from here and may be negative.
-            target: (3,) or (B, 3), what the camera looks at.
-            up: (3,) or (B, 3), upwards in the image.
+            half_height: half the height of the field of view, world units; number or (B,).
+            eye: (3,) or (B, 3), the camera's position; depth is measured from here and may be negative.
+            target: (3,) or (B, 3), the point that the camera looks at.
+            up: (3,) or (B, 3), the direction that is up in the image.
+
+        Returns:
+            B cameras; differentiable in all arguments.
 
         Raises:
             RangeError: ``eye`` equals ``target``, ``up`` is parallel to the view, or a size is not positive.
@@ -103,16 +90,19 @@ class Camera:
         target: Vector = (0.0, 0.0, 0.0),
         up: Vector = (0.0, 1.0, 0.0),
         *,
-        near: float = 1e-2,
+        near: float = NEAR,
     ) -> Camera:
-        """A pinhole with square pixels.
+        """A pinhole camera with square pixels.
 
         Args:
             fov_y: vertical field of view in radians, in (0, pi); number or (B,).
-            eye: (3,) or (B, 3), the pinhole.
-            target: (3,) or (B, 3), what the camera looks at.
-            up: (3,) or (B, 3), upwards in the image.
-            near: surfaces nearer than this are not drawn.
+            eye: (3,) or (B, 3), the position of the pinhole.
+            target: (3,) or (B, 3), the point that the camera looks at.
+            up: (3,) or (B, 3), the direction that is up in the image.
+            near: distance of the near plane, world units: nearer surfaces are not drawn.
+
+        Returns:
+            B cameras; differentiable in all arguments but ``near``.
 
         Raises:
             RangeError: as `orthographic`; ``fov_y`` outside (0, pi); ``near`` not positive.
@@ -133,16 +123,16 @@ class Camera:
 
     @staticmethod
     def from_intrinsics(
-        intrinsics: Tensor, size: tuple[int, int], extrinsics: Tensor | None = None, *, near: float = 1e-2
+        intrinsics: Tensor, size: tuple[int, int], extrinsics: Tensor | None = None, *, near: float = NEAR
     ) -> Camera:
-        """From OpenCV's K, in which integer coordinates are pixel centres.
+        """A camera from OpenCV's matrix K, in which integer coordinates are pixel centres.
 
         Args:
-            intrinsics: (3, 3) or (B, 3, 3), without skew.
-            size: (H, W) in pixels that K belongs to.
+            intrinsics: K, (3, 3) or (B, 3, 3), without skew; differentiable.
+            size: (H, W) in pixels of the images that K belongs to.
             extrinsics: (4, 4), (3, 4) or batched: world to OpenCV camera; default: the world is the OpenCV
-                camera's frame.
-            near: surfaces nearer than this are not drawn.
+                camera's frame. Differentiable.
+            near: distance of the near plane, world units: nearer surfaces are not drawn.
 
         Raises:
             ShapeError: other shapes.
@@ -156,7 +146,9 @@ class Camera:
         """
         k = intrinsics if intrinsics.ndim == 3 else intrinsics[None]
         if k.shape[1:] != (3, 3):
-            raise ShapeError("intrinsics", expected="(3, 3) or (B, 3, 3)", got=str(tuple(intrinsics.shape)), mend="fix")
+            raise ShapeError(
+                "intrinsics", expected="(3, 3) or (B, 3, 3)", got=str(tuple(intrinsics.shape)), mend="give K"
+            )
         focal = torch.stack((k[:, 0, 0], k[:, 1, 1]), 1)
         last_row = k[:, 2] == k.new_tensor((0.0, 0.0, 1.0))
         sound = bool((focal > 0).all()) and bool(k.isfinite().all()) and bool(last_row.all())
@@ -165,7 +157,7 @@ class Camera:
                 "intrinsics",
                 expected="finite, positive focal lengths, no skew, last row 0 0 1",
                 got=str(k[0].tolist()),
-                mend="rectify",
+                mend="rectify the images",
             )
         half = size[0] / 2
         right = (k[:, 0, 2] + 0.5 - size[1] / 2) / half
@@ -208,6 +200,7 @@ class Camera:
         Raises:
             RangeError: the camera is orthographic.
         """
+        require("kornia")
         from kornia.geometry.camera import PinholeCamera
 
         if not self.is_perspective:
@@ -225,14 +218,14 @@ class Camera:
         return PinholeCamera(k, e, height, width)
 
     def to_camera_frame(self, points: Tensor) -> Tensor:
-        """World points (V, 3) or (B, V, 3) in the camera frame, (B, V, 3); differentiable."""
+        """Transform world points (V, 3) or (B, V, 3) to the camera frame, (B, V, 3); differentiable."""
         x, y, z = (points - self.eye.to(points)[:, None]).unbind(-1)
         rows = self.rotation.to(points).unbind(1)
-        # Sums in this order everywhere: graphs have to round alike.
+        # Summed in one fixed order, so that ONNX graphs round in the same way.
         return torch.stack([x * r[:, :1] + y * r[:, 1:2] + z * r[:, 2:] for r in rows], -1)
 
     def to_image(self, points: Tensor, size: tuple[int, int]) -> Tensor:
-        """Homogeneous pixel coordinates (x w, y w, w) of camera-frame points (B, V, 3); w is 1 if orthographic."""
+        """Project camera-frame points (B, V, 3) to homogeneous pixels (x w, y w, w); w is 1 if orthographic."""
         height, width = self._check_size(size)
         half = height / 2
         x, y, z = points.unbind(-1)
@@ -243,10 +236,10 @@ class Camera:
         return torch.stack((u, v, w), -1)
 
     def rays(self, size: tuple[int, int]) -> Tensor:
-        """The point of every pixel's line of sight at depth 1 (perspective) or 0 (orthographic).
+        """The point on every pixel's line of sight at depth 1 (perspective) or 0 (orthographic).
 
         Args:
-            size: (H, W).
+            size: (H, W) in pixels.
 
         Returns:
             (B, 3, H, W), camera frame, z = -1 or 0; differentiable in the camera.
@@ -262,7 +255,7 @@ class Camera:
         return torch.stack((x[:, None].expand(shape), y[:, :, None].expand(shape), z), 1)
 
     def view_directions(self, size: tuple[int, int]) -> Tensor:
-        """Unit directions from the surface to the camera for every pixel, (B, 3, H, W), camera frame.
+        """Unit directions from the surface to the camera at every pixel, (B, 3, H, W), camera frame; differentiable.
 
         Example:
             >>> import torch_orennayar as ton
@@ -275,7 +268,7 @@ class Camera:
         return torch.zeros_like(rays) + rays.new_tensor((0.0, 0.0, 1.0)).reshape(1, 3, 1, 1)
 
     def points(self, depth: Tensor) -> Tensor:
-        """Surface points in the camera frame from depth (B, 1, H, W), (B, 3, H, W); differentiable."""
+        """Unproject depth (B, 1, H, W) to surface points (B, 3, H, W) in the camera frame; differentiable."""
         rays = self.rays((depth.shape[-2], depth.shape[-1])).to(depth)
         if self.is_perspective:
             return rays * depth
@@ -285,6 +278,7 @@ class Camera:
         height, width = size
         if height < 1 or width < 1:
             raise ShapeError("size", expected="(H, W) of at least 1", got=str(size), mend="give pixels")
+        # Set by hand: allows for sizes that were rounded to whole pixels.
         if self.aspect is not None and abs(width / height / self.aspect - 1) > 1.5 / min(size):
             raise ShapeError(
                 "size",
@@ -296,12 +290,13 @@ class Camera:
 
 
 def _dtype(*values: object) -> torch.dtype:
+    """The dtype of the first floating-point tensor, or torch's default."""
     kinds = [v.dtype for v in values if isinstance(v, Tensor) and v.is_floating_point()]
     return kinds[0] if kinds else torch.get_default_dtype()
 
 
 def _vectors(name: str, value: Vector) -> Tensor:
-    """(3,) or (B, 3) as (B, 3)."""
+    """Bring (3,) or (B, 3) to (B, 3)."""
     vectors = torch.as_tensor(value)
     if vectors.ndim not in (1, 2) or vectors.shape[-1] != 3:
         raise ShapeError(name, expected="(3,) or (B, 3)", got=str(tuple(vectors.shape)), mend="give x, y, z")
@@ -309,8 +304,9 @@ def _vectors(name: str, value: Vector) -> Tensor:
 
 
 def _look_at(
-    eye: Vector, target: Vector, up: Vector, focal: Tensor, *, perspective: bool, near: float = 1e-2
+    eye: Vector, target: Vector, up: Vector, focal: Tensor, *, perspective: bool, near: float = NEAR
 ) -> Camera:
+    """A camera at ``eye`` that looks at ``target``, with focal lengths (B,) or a number, equal in x and y."""
     device = next((v.device for v in (eye, target, up) if isinstance(v, Tensor)), focal.device)
     focal = focal.to(device)
     place, goal, upward = (_vectors(name, v).to(focal) for name, v in (("eye", eye), ("target", target), ("up", up)))

@@ -12,16 +12,16 @@ from .mesh import unit_or_zero
 
 
 def depth_to_normals(depth: Tensor, *, mask: Tensor | None = None, camera: Camera | None = None) -> Tensor:
-    """Normals of a depth map, the way back from `integrate_normals`.
+    """Normals of a depth map, the inverse of `integrate_normals`.
 
-    Slopes are central differences, one-sided at the mask's edge, so nothing outside the mask is touched. A depth
-    discontinuity inside it reads as a steep surface.
+    Slopes are central differences, one-sided at the edge of the mask, so that pixels outside the mask have no
+    influence. A depth discontinuity inside it appears as a steep surface.
 
     Args:
-        depth: (1, H, W) or (B, 1, H, W). Without a camera height toward the viewer in pixels; with one the distance
-            along its axis, as in `NormalMap`. Differentiable, and so is the camera.
+        depth: (1, H, W) or (B, 1, H, W). Without a camera the height toward the viewer in pixels; with one the
+            distance along its optical axis, as in `NormalMap`. Differentiable.
         mask: bool, of the shape of ``depth``; default: where it is finite.
-        camera: the camera of the depth, one or B of them.
+        camera: the camera of the depth map, or B of them; differentiable.
 
     Returns:
         (3, H, W) or (B, 3, H, W) unit normals in the camera frame; 0 outside the mask and where a pixel has no
@@ -63,7 +63,7 @@ def depth_to_normals(depth: Tensor, *, mask: Tensor | None = None, camera: Camer
 
 
 def _difference(points: Tensor, inside: Tensor, axis: int) -> tuple[Tensor, Tensor]:
-    """Sum of the steps (B, 3, H, W) from the neighbour before and to the one behind, and whether there is any."""
+    """Sum of the steps (B, 3, H, W) from the previous and to the next pixel, and whether at least one exists."""
     length = points.shape[axis] - 1
     step = points.narrow(axis, 1, length) - points.narrow(axis, 0, length)
     both = inside.narrow(axis, 1, length) & inside.narrow(axis, 0, length)

@@ -1,4 +1,4 @@
-"""Depth from normals: chords between neighbouring pixels, cut where the surface is."""
+"""Depth from normals by weighted least squares, with weights that leave depth discontinuities open."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from ..core.errors import CaptureError, RangeError, ShapeError
+from ..core.optional import require
 from ..core.progress import track
 from .camera import Camera
 
@@ -20,29 +21,35 @@ Bools: TypeAlias = npt.NDArray[np.bool_]
 Indices: TypeAlias = npt.NDArray[np.int64]
 
 MIN_FACING = 0.02
-"""Cosine to the view below which a slope is cut."""
+"""Smallest cosine between normal and view, below which the slope is clamped: 88.9 degrees, set by hand."""
 SHARPNESS = (0.02, 8.0)
-"""How strictly a pixel takes the flatter of its two sides, per squared slope: from nearly not to nearly always.
+"""First and last slope of the logistic function by which a pixel prefers the flatter of its two sides, per squared
+slope of the surface.
 
-The last value does best on renders of five meshes (`scripts/benchmarks/evaluate_integration.py`); going there slowly
-matters, as a depth edge shows only once the surfaces beside it have come apart.
+The last value has the smallest error on renders of five meshes (``scripts/benchmarks/evaluate_integration.py``,
+``by_sharpness``); the first is set by hand. The growth must be slow, since a depth discontinuity appears only once the
+surfaces on both sides have separated.
 """
 STEPS, LAST_STEPS = 15, 3
-"""Solutions while the sharpness grows, of which the last are at its end."""
+"""Number of least-squares solutions, and how many of them use the last sharpness; set by hand."""
 TOLERANCE = 1e-4
+"""Residual relative to the right-hand side at which conjugate gradients stop; set by hand."""
 LARGE = 500_000
-"""Pixels above which half the size is solved first, and the whole starts from there."""
+"""Number of pixels above which a solution at half the size is the initial value; set by hand."""
+SMALL = 500
+"""Number of pixels up to which a direct solver is used instead of conjugate gradients; set by hand."""
 LEAST_TRUST = 1e-9
-"""A cut edge keeps this weight: it decides how far apart two surfaces lie when nothing else does."""
+"""Weight of the edges at a discontinuity: it decides the offset between two surfaces where no other edge does."""
 
 
 @torch.no_grad()
 def integrate_normals(normal: Tensor, mask: Tensor | None = None, *, camera: Camera | None = None) -> Tensor:
-    """Integrate normals to depth; depth edges are found and left open.
+    """Integrate normals to depth; depth discontinuities are detected and left open.
 
-    Between neighbours the surface follows the chord of a circle: it is perpendicular to the sum of both normals, in
-    perspective views too. Each pixel trusts the flatter of its two sides, in rows and in columns; edges that not both
-    pixels trust weigh little. Trust and depth take turns, from mild to strict. Not differentiable.
+    Between neighbouring pixels the surface follows the chord of a circle: it is perpendicular to the sum of both
+    normals, in perspective views too. In rows and in columns each pixel gives more weight to the flatter of its two
+    sides; an edge has a small weight unless both of its pixels trust it. Weights and depth are computed in turn, with
+    weights that become more selective. Not differentiable.
 
     Args:
         normal: (3, H, W) unit normals in the camera frame.
@@ -53,8 +60,8 @@ def integrate_normals(normal: Tensor, mask: Tensor | None = None, *, camera: Cam
         (1, H, W), 0 outside the mask. Without a camera: height toward the viewer in pixels, mean 0 over
         every connected region. With a perspective camera: positive distance along the optical axis,
         geometric mean 1 over every connected region. With an orthographic one: distance along the axis in
-        its units, mean 0 over every connected region. How far a surface lies behind another that hides its
-        foot is a guess.
+        its units, mean 0 over every connected region. The offset between a surface and another one that hides
+        where the two meet is not determined by the normals.
 
     Raises:
         ShapeError: shapes other than these.
@@ -62,8 +69,8 @@ def integrate_normals(normal: Tensor, mask: Tensor | None = None, *, camera: Cam
         CaptureError: an empty mask.
 
     Source:
-        Trust in the flatter side: Cao, Santo, Shi, Okura & Matsushita 2022, "Bilateral normal integration". Chords,
-        edges that both pixels must trust, and the slow start are this package's.
+        Weights of the flatter side: Cao, Santo, Shi, Okura & Matsushita 2022, "Bilateral normal integration". The
+        chords, the weight of the less trusting pixel, and the slow growth of sharpness are specific to this package.
 
     Example:
         >>> import torch, torch_orennayar as ton
@@ -89,10 +96,10 @@ class _Field:
     """Normals on a grid of pixels.
 
     Attributes:
-        normal: (3, H, W) camera frame.
-        rays: (3, H, W) points of the lines of sight at depth 1, z = -1; None for parallel ones.
+        normal: (3, H, W) in the camera frame.
+        rays: (3, H, W) points on the lines of sight at depth 1, z = -1; None for an orthographic view.
         inside: (H, W) bool.
-        step: from pixel to pixel, to the right and down: world units, or at depth 1.
+        step: distance between pixels, to the right and down: in pixels or world units, at depth 1 in perspective.
     """
 
     normal: Floats
@@ -101,7 +108,7 @@ class _Field:
     step: tuple[float, float]
 
     def halved(self) -> _Field:
-        """Every four pixels as one."""
+        """The field at half the size: the mean of every 2 x 2 pixels."""
         inside = _pool(self.inside[None].astype(float))[0]
         share = np.maximum(inside, 1e-12)
         normal = _pool(self.normal * self.inside) / share
@@ -111,7 +118,7 @@ class _Field:
 
 
 def _pool(values: Floats) -> Floats:
-    """Sums of 2 x 2 pixels, (C, H, W); odd ends are filled with 0."""
+    """Sums of 2 x 2 pixels, (C, H, W); odd sizes are padded with 0."""
     height, width = values.shape[1:]
     padded = np.pad(values, ((0, 0), (0, height % 2), (0, width % 2)))
     return padded[:, ::2, ::2] + padded[:, 1::2, ::2] + padded[:, ::2, 1::2] + padded[:, 1::2, 1::2]
@@ -119,13 +126,15 @@ def _pool(values: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class _Pairs:
-    """Neighbours in rows or in columns.
+    """Neighbouring pixels in rows or in columns.
 
     Attributes:
-        first, second: (E,) indices of pixels.
-        rise: (E,) of the height from the first to the second if the surface has no edge there; of -log(depth) in
+        first: (E,) index of the left or upper pixel among those inside.
+        second: (E,) index of the other pixel.
+        rise: (E,) increase of the height from first to second if the surface is continuous; of -log(depth) in
             perspective.
-        scale: (2, E) factors by which a rise becomes a slope per pixel, seen by either pixel: small where it is steep.
+        scale: (2, E) factors that convert a rise to a slope per pixel, as seen from either pixel: small where the
+            surface is steep.
     """
 
     first: Indices
@@ -135,7 +144,7 @@ class _Pairs:
 
     @staticmethod
     def of(field: _Field, axis: int) -> _Pairs:
-        """To the right (axis 0) or down (axis 1)."""
+        """Pairs of a pixel and its right (axis 0) or lower neighbour (axis 1)."""
         here, there = (np.s_[:, :-1], np.s_[:, 1:]) if axis == 0 else (np.s_[:-1, :], np.s_[1:, :])
         inside, step = field.inside, field.step[axis]
         both = inside[here] & inside[there]
@@ -144,37 +153,37 @@ class _Pairs:
         first, second = index[here][both], index[there][both]
         normal = field.normal[:, inside]
         one, other = normal[:, first], normal[:, second]
-        chord = one + other  # is perpendicular to the chord
+        total = one + other  # perpendicular to the chord
         if field.rays is None:
-            across = chord[0] if axis == 0 else -chord[1]
-            rise = -across / np.maximum(chord[2], 2 * MIN_FACING) * step
+            across = total[0] if axis == 0 else -total[1]
+            rise = -across / np.maximum(total[2], 2 * MIN_FACING) * step
             facing = np.stack((one[2], other[2]))
         else:
             rays = field.rays[:, inside]
             near, far = rays[:, first], rays[:, second]
             facing = -np.stack(((one * near).sum(0), (other * far).sum(0)))
-            before, behind = (np.maximum(-(chord * r).sum(0), 2 * MIN_FACING) for r in (near, far))
+            before, behind = (np.maximum(-(total * r).sum(0), 2 * MIN_FACING) for r in (near, far))
             rise = np.log(behind / before)
         scale = np.maximum(facing, MIN_FACING) / step
         return _Pairs(first, second, rise, scale)
 
     def trust(self, height: Floats, sharpness: float) -> Floats:
-        """How much both pixels believe that the surface goes on between them, (E,) in (0, 1/2]."""
+        """Weights of the pairs, (E,) in (0, 1/2]: the trust of the less trusting pixel in a continuous surface."""
         rise = height[self.second] - height[self.first]
         forward, backward = np.zeros_like(height), np.zeros_like(height)
         forward[self.first] = (self.scale[0] * rise) ** 2
         backward[self.second] = (self.scale[1] * rise) ** 2
-        steeper = np.clip(sharpness * (forward - backward), -50, 50)
+        steeper = np.clip(sharpness * (forward - backward), -50, 50)  # exp stays in range
         ahead = 1 / (1 + np.exp(steeper))
         return np.maximum(np.minimum(ahead[self.first], 1 - ahead[self.second]), LEAST_TRUST)
 
 
 def _integrate(field: _Field) -> Floats:
-    """Heights of the pixels inside, (P,): trust and heights take turns."""
+    """Heights of the pixels inside, (P,), from alternating weights and solutions."""
     count = int(field.inside.sum())
     pairs = [_Pairs.of(field, axis) for axis in (0, 1)]
     growth = np.geomspace(*SHARPNESS, STEPS - LAST_STEPS + 1).tolist()
-    # First without any, which is plain least squares.
+    # The first solution has equal weights: plain least squares.
     sharpness = [0.0, *growth, *[SHARPNESS[1]] * (LAST_STEPS - 2)][:STEPS]
     height = np.zeros(count)
     if count > LARGE:
@@ -190,6 +199,7 @@ def _integrate(field: _Field) -> Floats:
 
 def _solve(pairs: Sequence[_Pairs], trust: Sequence[Floats], start: Floats) -> Floats:
     """Weighted least squares over all pairs, by conjugate gradients with algebraic multigrid."""
+    require("pyamg", "scipy")
     import pyamg
     import scipy.sparse
     import scipy.sparse.linalg
@@ -199,7 +209,7 @@ def _solve(pairs: Sequence[_Pairs], trust: Sequence[Floats], start: Floats) -> F
     weight = np.concatenate([t * (p.scale**2).sum(0) for p, t in zip(pairs, trust, strict=True)])
     flow = weight * np.concatenate([p.rise for p in pairs])
     diagonal = np.bincount(first, weight, count) + np.bincount(second, weight, count)
-    # The ridge makes the free constant of every region harmless; the means are set later.
+    # The ridge makes the system regular although every region has a free constant; the means are set later.
     ridge = 1e-9 * max(float(diagonal.mean()), 1e-12)
     own = np.arange(count)
     system = scipy.sparse.csr_matrix(
@@ -210,7 +220,7 @@ def _solve(pairs: Sequence[_Pairs], trust: Sequence[Floats], start: Floats) -> F
         shape=(count, count),
     )
     target = np.bincount(second, flow, count) - np.bincount(first, flow, count)
-    if count <= 500:
+    if count <= SMALL:
         return np.asarray(scipy.sparse.linalg.spsolve(system.tocsc(), target)).reshape(count)
     preconditioner = pyamg.ruge_stuben_solver(system, max_coarse=50).aspreconditioner()
     solution, _ = scipy.sparse.linalg.cg(system, target, x0=start, rtol=TOLERANCE, maxiter=100, M=preconditioner)
@@ -219,6 +229,7 @@ def _solve(pairs: Sequence[_Pairs], trust: Sequence[Floats], start: Floats) -> F
 
 def _centre(height: Floats, inside: Bools) -> Floats:
     """Heights (P,) on the grid (H, W), the mean of every connected region 0."""
+    require("scipy")
     import scipy.ndimage
 
     canvas = np.zeros(inside.shape)

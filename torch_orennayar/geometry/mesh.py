@@ -1,4 +1,4 @@
-"""Meshes in and out through trimesh, and depth maps as meshes."""
+"""Read and write meshes through trimesh; vertex normals; meshes from depth maps."""
 
 from __future__ import annotations
 
@@ -12,27 +12,28 @@ from torch import Tensor
 from ..core.checks import check_floating
 from ..core.errors import FileError, RangeError, ShapeError
 from ..core.files import atomic_path
+from ..core.optional import require
 from .camera import Camera
 
 MAX_FACES = 50_000_000
-"""Larger meshes are refused."""
+"""Largest number of triangles that `load_mesh` accepts: set by hand, 1.2 GB of indices."""
 CHUNK = 1 << 14
-"""Faces at once where normals are summed."""
+"""Faces per step of `sum_normals`, which bounds the memory for temporaries: set by hand, 2.4 MB of corners."""
 
 
 def load_mesh(path: str | os.PathLike[str]) -> tuple[Tensor, Tensor]:
-    """Read a triangle mesh (OBJ, PLY, STL, GLB, OFF); scenes are joined, polygons triangulated.
+    """Read a triangle mesh (OBJ, PLY, STL, GLB, OFF); the meshes of a scene are joined, polygons triangulated.
 
     Args:
         path: the file.
 
     Returns:
-        ``(vertices, faces)``: (V, 3) float32 and (F, 3) int64. Vertices of equal position are merged, so
-        that smooth normals do not break along texture seams.
+        ``(vertices, faces)``: (V, 3) float32 and (F, 3) int64. Vertices at the same position are merged, so
+        that smooth normals are continuous across texture seams.
 
     Raises:
-        FileError: missing, damaged, of an unknown kind, or without faces.
-        RangeError: vertices that are not finite.
+        FileError: the file is missing, damaged, of an unknown format, or has no faces.
+        RangeError: a vertex is not finite.
 
     Example:
         >>> import tempfile, pathlib, torch, torch_orennayar as ton
@@ -42,6 +43,7 @@ def load_mesh(path: str | os.PathLike[str]) -> tuple[Tensor, Tensor]:
         >>> vertices.shape, faces.tolist()
         (torch.Size([3, 3]), [[0, 1, 2]])
     """
+    require("trimesh")
     import trimesh
 
     file = Path(path)
@@ -51,7 +53,7 @@ def load_mesh(path: str | os.PathLike[str]) -> tuple[Tensor, Tensor]:
         mesh = trimesh.load_mesh(file, process=False)
         mesh.merge_vertices(merge_tex=True, merge_norm=True)
         vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
-    except Exception as error:  # trimesh and its parsers raise many kinds for damaged files
+    except Exception as error:  # trimesh and its parsers raise many types of exception for damaged files
         raise FileError(
             str(file),
             expected="a triangle mesh (OBJ, PLY, STL, GLB, OFF)",
@@ -68,18 +70,19 @@ def load_mesh(path: str | os.PathLike[str]) -> tuple[Tensor, Tensor]:
 
 
 def save_mesh(path: str | os.PathLike[str], vertices: Tensor, faces: Tensor, colors: Tensor | None = None) -> None:
-    """Write a mesh; the suffix names the format (.ply, .obj, .glb, .stl, .off).
+    """Write a mesh; the suffix determines the format (.ply, .obj, .glb, .stl, .off).
 
     Args:
-        path: the file; it appears whole or not at all.
+        path: the file; it is written completely or not at all.
         vertices: (V, 3).
         faces: (F, 3) int64.
         colors: (V, 3) in [0, 1], sRGB, as vertex colours, or None.
 
     Raises:
-        FileError: unknown suffix, or the place cannot be written.
+        FileError: unknown suffix, or the file cannot be written.
         ShapeError: other shapes.
     """
+    require("trimesh")
     import trimesh
 
     if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:
@@ -102,22 +105,22 @@ def save_mesh(path: str | os.PathLike[str], vertices: Tensor, faces: Tensor, col
 
 
 def vertex_normals(vertices: Tensor, faces: Tensor) -> Tensor:
-    """Unit normals of vertices from the faces around them, weighted so that they are exact on a sphere.
+    """Unit vertex normals from the adjacent faces, weighted so that they are exact on a sphere.
 
     Args:
         vertices: (V, 3) or (B, V, 3); differentiable.
-        faces: (F, 3) int64, corners counter-clockwise where seen from outside.
+        faces: (F, 3) int64, corners counter-clockwise as seen from outside.
 
     Returns:
         The shape of ``vertices``; 0 where a vertex has no face, or only faces without area.
 
     Raises:
         ShapeError: shapes other than these, or vertices that are not floating-point.
-        RangeError: a face names a vertex that does not exist.
+        RangeError: a face refers to a vertex that does not exist.
 
     Source:
-        Max 1999, "Weights for computing vertex normals from facet normals": a corner weighs by the sine of its
-        angle over the lengths of its edges.
+        Max 1999, "Weights for computing vertex normals from facet normals": the weight of a corner is the sine of
+        its angle over the product of the lengths of its edges.
 
     Example:
         >>> import torch, torch_orennayar as ton
@@ -129,15 +132,15 @@ def vertex_normals(vertices: Tensor, faces: Tensor) -> Tensor:
 
 
 def sum_normals(vertices: Tensor, faces: Tensor) -> Tensor:
-    """`vertex_normals` of (B, V, 3), nothing checked."""
-    points = vertices.double().transpose(1, 2).contiguous()  # planes of x, y, z
+    """`vertex_normals` of (B, V, 3) without checks."""
+    points = vertices.double().transpose(1, 2).contiguous()  # (B, 3, V)
     total = torch.zeros_like(points)
     for part in [faces] if torch.compiler.is_exporting() else faces.split(CHUNK):
         index = part.T.reshape(-1)
         corner = points.index_select(2, index).view(points.shape[0], 3, 3, -1)
         edge = torch.cat((corner[:, :, 1:], corner[:, :, :1]), 2) - corner
         area = torch.linalg.cross(edge[:, :, 0], edge[:, :, 1], dim=1)
-        length = edge.square().sum(1)  # squared, of the edges that leave corners 0, 1, 2
+        length = edge.square().sum(1)  # squared lengths of the edges that start at corners 0, 1, 2
         product = length * torch.cat((length[:, 2:], length[:, :2]), 1)
         weight = (product > 0) / torch.where(product > 0, product, 1)
         parts = (area[:, :, None] * weight[:, None]).flatten(2)
@@ -146,15 +149,15 @@ def sum_normals(vertices: Tensor, faces: Tensor) -> Tensor:
 
 
 def check_mesh(vertices: Tensor, faces: Tensor) -> None:
-    """Floating-point vertices (V, 3) or (B, V, 3), and triangles between them."""
+    """Check for floating-point vertices (V, 3) or (B, V, 3), and triangles between them."""
     check_floating(vertices=vertices)
     if vertices.ndim not in (2, 3) or vertices.shape[-1] != 3:
         raise ShapeError("vertices", expected="(V, 3) or (B, V, 3)", got=str(tuple(vertices.shape)), mend="reshape")
     check_faces(faces, vertices.shape[-2])
 
 
-def check_faces(faces: Tensor, vertices: int) -> None:
-    """Triangles that name vertices which exist."""
+def check_faces(faces: object, vertices: int) -> None:
+    """Check for triangles, (F, 3) int64, whose indices are below the number of ``vertices``."""
     if not isinstance(faces, Tensor) or faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype != torch.int64:
         kind = f"{tuple(faces.shape)} {faces.dtype}" if isinstance(faces, Tensor) else type(faces).__name__
         raise ShapeError(
@@ -172,30 +175,49 @@ def check_faces(faces: Tensor, vertices: int) -> None:
 
 
 def unit_or_zero(vectors: Tensor, dim: int) -> Tensor:
-    """Vectors of length 1; those of length 0 stay 0, with gradient 0."""
+    """Normalise vectors along ``dim``; those of length 0 remain 0, with gradient 0."""
     square = vectors.square().sum(dim, keepdim=True)
     there = (square > 0).to(vectors)
     return vectors * (there / (square + (1 - there)).sqrt())
 
 
 def normalise_mesh(vertices: Tensor) -> Tensor:
-    """Centre (V, 3) vertices on their bounding box and scale it to fit the unit sphere."""
+    """Centre a mesh at the origin and scale it into the unit sphere, by its bounding box.
+
+    Args:
+        vertices: (V, 3), V at least 1; differentiable.
+
+    Returns:
+        (V, 3): the corners of the bounding box lie on the unit sphere.
+
+    Raises:
+        ShapeError: another shape, or vertices that are not floating-point.
+
+    Example:
+        >>> import torch, torch_orennayar as ton
+        >>> ton.normalise_mesh(torch.tensor([[0.0, 0, 0], [0, 0, 4]])).tolist()
+        [[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]]
+    """
+    check_floating(vertices=vertices)
+    if vertices.ndim != 2 or vertices.shape[1] != 3 or not len(vertices):
+        raise ShapeError("vertices", expected="(V, 3)", got=str(tuple(vertices.shape)), mend="give one mesh")
     low, high = vertices.amin(0), vertices.amax(0)
     radius: Tensor = (high - low).norm() / 2
     return (vertices - (low + high) / 2) / radius.clamp_min(1e-12)
 
 
 def depth_to_mesh(depth: Tensor, mask: Tensor, camera: Camera | None = None) -> tuple[Tensor, Tensor, Tensor]:
-    """Two triangles between every four neighbouring pixels of a depth map.
+    """Triangulate a depth map: a vertex per pixel, two triangles between every four neighbouring pixels.
 
     Args:
-        depth: (1, H, W): without a camera height toward the viewer in pixels, as `integrate_normals`
-            returns; with one the distance along its axis.
+        depth: (1, H, W): without a camera the height toward the viewer in pixels, as `integrate_normals`
+            returns; with one the distance along its optical axis.
         mask: (1, H, W) bool.
-        camera: the camera of the depth, or None.
+        camera: the camera of the depth map, or None.
 
     Returns:
-        ``(vertices, faces, pixels)``: (V, 3) camera frame, (F, 3), and (V,) flat pixel index of every vertex.
+        ``(vertices, faces, pixels)``: (V, 3) float32 in the camera frame, (F, 3) int64, and (V,) the flat index of
+        the pixel of every vertex.
 
     Raises:
         ShapeError: shapes other than these.

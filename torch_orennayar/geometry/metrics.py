@@ -1,4 +1,4 @@
-"""How far normals are from each other."""
+"""Angular error of normals."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from ..core.errors import ShapeError
 
 
 class AngularError(torch.Tensor):
-    """A map of angles in degrees, NaN outside the foreground, that can sum itself up.
+    """A map of angles in degrees, NaN outside the foreground, with a method for its statistics.
 
-    It is a tensor like any other; `summary` looks at the foreground only.
+    It is a tensor otherwise; `summary` considers the foreground only.
 
     Example:
         >>> import torch, torch_orennayar as ton
@@ -21,7 +21,13 @@ class AngularError(torch.Tensor):
     """
 
     def summary(self) -> dict[str, float]:
-        """Mean, median and 90th percentile in degrees, shares within 5, 10 and 20 degrees, number of pixels."""
+        """Statistics of the foreground.
+
+        Returns:
+            ``mean``, ``median`` and ``p90`` (the 90th percentile) in degrees; ``within_5``, ``within_10`` and
+            ``within_20``, the shares of pixels with at most that many degrees; ``pixels``, their number. All but the
+            last are NaN where there are no pixels.
+        """
         values = self.as_subclass(torch.Tensor).double()
         values = values[values.isfinite()]
         if values.numel() == 0:
@@ -41,18 +47,18 @@ class AngularError(torch.Tensor):
 def angular_error(a: Tensor, b: Tensor, mask: Tensor | None = None, *, dim: int = -3) -> AngularError:
     """Angle between two sets of directions, in degrees.
 
-    Accurate for small angles (``atan2`` of cross and dot product). A measure, not a loss: no gradients.
+    Accurate for small angles (``atan2`` of cross and dot product). Not differentiable.
 
     Args:
-        a: directions of any length, 3 along ``dim``: (3, H, W) or (B, 3, H, W); the estimate.
-        b: the same shape, or one that broadcasts; the truth. Where it is zero or not finite, nothing is known
-            and the pixel is left out.
-        mask: foreground, bool, 1 along ``dim``; default: where both are known. A pixel of the mask where
-            ``a`` is zero or not finite counts as 180 degrees, for nothing was found there.
+        a: the estimate: directions of any length, 3 along ``dim``, e.g. (3, H, W) or (B, 3, H, W).
+        b: the ground truth: the same shape, or one that broadcasts. Pixels where it is zero or not finite are
+            excluded.
+        mask: foreground, bool, 1 along ``dim``; default: where both are known. Pixels of the mask where the estimate
+            ``a`` is missing (zero or not finite) count as 180 degrees.
         dim: the axis of x, y, z.
 
     Returns:
-        An `AngularError`: a tensor of degrees with 1 along ``dim``, NaN outside the foreground.
+        An `AngularError`: degrees, 1 along ``dim``, NaN outside the foreground.
 
     Raises:
         ShapeError: 3 is not found along ``dim``, or shapes do not broadcast.

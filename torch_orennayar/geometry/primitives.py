@@ -8,15 +8,17 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from ..core.optional import require
+
 
 @dataclass(frozen=True)
 class Ball:
-    """A sphere's outline in pixels: the centre of the top left pixel is (0, 0), y runs down.
+    """The outline of a sphere in an orthographic image, in pixels; the centre of the top left pixel is (0, 0).
 
     Attributes:
-        x: column of the centre.
-        y: row of the centre.
-        radius: in pixels.
+        x: column of the centre, to the right.
+        y: row of the centre, downwards.
+        radius: radius in pixels, > 0.
     """
 
     x: float
@@ -24,7 +26,21 @@ class Ball:
     radius: float
 
     def normals(self, size: tuple[int, int]) -> tuple[Tensor, Tensor]:
-        """Normals (3, H, W), camera frame, and the mask (1, H, W) of the ball in a picture of ``size``."""
+        """Normals of the sphere at the pixels whose centres lie inside its outline.
+
+        Args:
+            size: (H, W) of the image in pixels.
+
+        Returns:
+            ``(normal, mask)``: (3, H, W) unit normals in the camera frame (x right, y up, z toward the viewer), 0
+            outside the mask, and (1, H, W) bool.
+
+        Example:
+            >>> from torch_orennayar.geometry.primitives import Ball
+            >>> normal, mask = Ball(x=2.0, y=1.0, radius=1.25).normals((3, 4))
+            >>> [round(v, 6) for v in normal[:, 1, 3].tolist()], int(mask.sum())
+            ([0.8, 0.0, 0.6], 5)
+        """
         height, width = size
         row, column = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
         x, y = (column - self.x) / self.radius, (self.y - row) / self.radius
@@ -34,7 +50,19 @@ class Ball:
 
 
 def bumpy_ball() -> tuple[Tensor, Tensor]:
-    """A bumpy ball: an icosphere whose radius follows a few smooth waves; (V, 3) and (F, 3)."""
+    """A closed mesh for examples: a sphere whose radius varies in smooth waves between 0.81 and 1.
+
+    Returns:
+        ``(vertices, faces)``: (40962, 3) float32 around the origin, and (81920, 3) int64 with corners
+        counter-clockwise as seen from outside.
+
+    Example:
+        >>> from torch_orennayar.geometry.primitives import bumpy_ball
+        >>> vertices, faces = bumpy_ball()
+        >>> vertices.shape, faces.shape
+        (torch.Size([40962, 3]), torch.Size([81920, 3]))
+    """
+    require("trimesh")
     import trimesh
 
     ball = trimesh.creation.icosphere(subdivisions=6)
@@ -45,7 +73,21 @@ def bumpy_ball() -> tuple[Tensor, Tensor]:
 
 
 def spiral_lights(count: int, widest: float = math.radians(60)) -> Tensor:
-    """``count`` unit directions spread evenly over a cone about the view axis, (count, 3)."""
+    """Directions spread evenly over a cone around the view axis, in a golden-angle spiral.
+
+    Args:
+        count: number of directions, at least 1.
+        widest: half the opening angle of the cone, radians.
+
+    Returns:
+        (count, 3) unit directions in the camera frame, ordered from the axis outwards; each stands for an equal
+        solid angle.
+
+    Example:
+        >>> from torch_orennayar.geometry.primitives import spiral_lights
+        >>> spiral_lights(5).shape
+        torch.Size([5, 3])
+    """
     index = torch.arange(count) + 0.5
     cosine = 1 - index / count * (1 - math.cos(widest))
     sine, azimuth = (1 - cosine**2).sqrt(), index * math.pi * (3 - math.sqrt(5))

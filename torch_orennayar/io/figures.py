@@ -1,4 +1,4 @@
-"""Pictures for people: normal maps, maps with a colour bar, contact sheets, charts."""
+"""Figures for reports: normal maps in colour, maps with a colour bar, contact sheets, charts."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from ..core.optional import require
 from .images import encode_normals, linear_to_srgb
 
 if TYPE_CHECKING:
@@ -19,16 +20,18 @@ if TYPE_CHECKING:
 
 PathLike = str | os.PathLike[str]
 LARGEST_SIDE = 1200
-"""Pictures on sheets and maps are thinned to about this many pixels."""
+"""Pixels to which the longer side of pictures on sheets and maps is thinned, about; set by hand, for file size."""
+DPI = 130
+"""Dots per inch of written figures, whose sizes are in inches; set by hand."""
 
 
 def show_normals(normal: Tensor, mask: Tensor) -> Tensor:
-    """Normals as (3, H, W) colours on white, for looking at."""
+    """Normals (3, H, W) as colours (3, H, W) on white."""
     return torch.where(mask, encode_normals(normal, mask), 1.0)
 
 
 def show_light(image: Tensor, mask: Tensor) -> Tensor:
-    """Linear light (1|3, H, W) as (3, H, W) sRGB colours on white, cut at 1."""
+    """Linear light (1|3, H, W) as sRGB colours (3, H, W) on white, cut at 1."""
     return torch.where(mask, linear_to_srgb(image.expand(3, -1, -1)), 1.0)
 
 
@@ -42,8 +45,8 @@ def crop_to(mask: Tensor) -> tuple[slice, slice]:
     return spans[0], spans[1]
 
 
-def _for_looking(picture: Tensor) -> Tensor:
-    """(C, H, W) at a size that shows: every n-th pixel of large ones."""
+def _thinned(picture: Tensor) -> Tensor:
+    """(C, H, W) with its longer side thinned to about `LARGEST_SIDE` pixels."""
     step = max(1, max(picture.shape[1:]) // LARGEST_SIDE)
     return picture[:, ::step, ::step]
 
@@ -51,14 +54,14 @@ def _for_looking(picture: Tensor) -> Tensor:
 def save_sheet(
     path: PathLike, rows: Sequence[Mapping[str, Tensor]], *, labels: Sequence[str] = (), title: str = ""
 ) -> Path:
-    """A contact sheet: one row per mapping from caption to (3, H, W) colours; ``labels`` name the rows."""
+    """Write a contact sheet: one row per mapping from caption to (3, H, W) colours; ``labels`` name the rows."""
     columns = max(len(row) for row in rows)
     figure, axes = _grid(len(rows), columns)
     for row, line in zip(rows, axes, strict=True):
         for axis in line:
             axis.axis("off")
         for axis, (caption, picture) in zip(line, row.items(), strict=False):
-            axis.imshow(_for_looking(picture).permute(1, 2, 0).cpu().numpy().clip(0, 1))
+            axis.imshow(_thinned(picture).permute(1, 2, 0).cpu().numpy().clip(0, 1))
             axis.set_title(caption, fontsize=9)
     for label, line in zip(labels, axes, strict=False):
         line[0].text(-0.06, 0.5, label, transform=line[0].transAxes, rotation=90, va="center", ha="right", fontsize=9)
@@ -76,30 +79,31 @@ def save_maps(
     top: float | None = None,
     palette: str = "inferno",
 ) -> Path:
-    """Maps (1, H, W) side by side under one colour bar that begins at 0; outside ``mask`` is white.
+    """Write maps (1, H, W) side by side with one colour bar that starts at 0; outside ``mask`` they are white.
 
-    ``top`` is the bar's upper end; default: the largest 99th percentile.
+    ``top`` is the bar's upper end; default: the largest 99th percentile of the maps.
     """
-    mask = _for_looking(mask)
+    mask = _thinned(mask)
     inside = mask[0].cpu().numpy()
     part = crop_to(mask)
     arrays = {
-        caption: np.where(inside, _for_looking(m)[0].detach().cpu().numpy(), np.nan)[part]
-        for caption, m in maps.items()
+        caption: np.where(inside, _thinned(m)[0].detach().cpu().numpy(), np.nan)[part] for caption, m in maps.items()
     }
     highest = top or max(float(np.nanpercentile(a, 99)) for a in arrays.values()) or 1.0
     over = any(np.nanmax(a) > highest for a in arrays.values())
     figure, axes = _grid(1, len(arrays))
+    shown = []
     for axis, (caption, array) in zip(axes[0], arrays.items(), strict=True):
-        picture = axis.imshow(array, vmin=0, vmax=highest, cmap=palette)
+        shown.append(axis.imshow(array, vmin=0, vmax=highest, cmap=palette))
         axis.set_title(caption, fontsize=9)
         axis.axis("off")
-    figure.colorbar(picture, ax=list(axes[0]), label=unit, shrink=0.85, extend="max" if over else "neither")
+    figure.colorbar(shown[-1], ax=list(axes[0]), label=unit, shrink=0.85, extend="max" if over else "neither")
     return _save(figure, path)
 
 
 def save_bars(path: PathLike, values: Mapping[str, float], *, unit: str, highlight: str = "") -> Path:
-    """Horizontal bars with their numbers; lower is better, ``highlight`` is drawn in colour."""
+    """Write a chart of horizontal bars with their values; lower is better, ``highlight`` is drawn in colour."""
+    require("matplotlib")
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(6, 0.6 + 0.45 * len(values)), layout="constrained")
@@ -116,7 +120,8 @@ def save_bars(path: PathLike, values: Mapping[str, float], *, unit: str, highlig
 
 
 def save_curves(path: PathLike, curves: Mapping[str, Sequence[float]]) -> Path:
-    """Losses by step, on a logarithmic scale."""
+    """Write a chart of losses by step, on a logarithmic scale."""
+    require("matplotlib")
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(5, 3), layout="constrained")
@@ -130,6 +135,7 @@ def save_curves(path: PathLike, curves: Mapping[str, Sequence[float]]) -> Path:
 
 
 def _grid(rows: int, columns: int) -> tuple[Figure, Sequence[Sequence[Axes]]]:
+    require("matplotlib")
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(2.1 * columns + 0.4, 2.3 * rows + 0.2), layout="constrained")
@@ -138,5 +144,5 @@ def _grid(rows: int, columns: int) -> tuple[Figure, Sequence[Sequence[Axes]]]:
 
 
 def _save(figure: Figure, path: PathLike) -> Path:
-    figure.savefig(path, dpi=130)
+    figure.savefig(path, dpi=DPI)
     return Path(path)

@@ -1,4 +1,7 @@
-"""Image files in and out, through OpenCV; damaged files are refused, bit depth is kept."""
+"""Read and write image files and animations; sRGB and normal-map encodings.
+
+OpenCV keeps the bit depth; Pillow checks the integrity that OpenCV does not.
+"""
 
 from __future__ import annotations
 
@@ -13,20 +16,30 @@ from torch import Tensor
 
 from ..core.errors import FileError, RangeError, ShapeError
 from ..core.files import atomic_path
+from ..core.optional import require
 
 IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".hdr"})
+"""Suffixes of files that count as photographs in a folder: those that OpenCV reads with all its builds."""
+ANIMATIONS = frozenset({".gif", ".mp4"})
+"""Suffixes that `write_animation` writes."""
 MAX_PIXELS = 150_000_000
-"""Larger images are refused as decompression bombs."""
+"""Pixels above which an image is refused as a decompression bomb; set by hand, above what cameras record."""
+GIF_PALETTE_PIXELS = 1_000_000
+"""Pixels from all frames, about, that the palette of a GIF is computed from; set by hand, for memory."""
 
 
 def read_image(path: str | os.PathLike[str]) -> npt.NDArray[np.generic]:
-    """Read a picture as stored: (H, W) or (H, W, 3) RGB, uint8, uint16 or float32; alpha is dropped.
+    """Read a picture as stored; alpha is dropped.
 
     Args:
         path: PNG, JPEG, TIFF, BMP or Radiance HDR.
 
+    Returns:
+        (H, W) or (H, W, 3) RGB, uint8, uint16 or float32.
+
     Raises:
         FileError: missing, damaged, truncated, of another kind, or larger than ``MAX_PIXELS``.
+        MissingPackageError: OpenCV or Pillow is not installed.
 
     Example:
         >>> import tempfile, pathlib, torch, torch_orennayar as ton
@@ -36,6 +49,7 @@ def read_image(path: str | os.PathLike[str]) -> npt.NDArray[np.generic]:
         >>> int(read_image(path)[0, 0])
         32768
     """
+    require("cv2")
     import cv2
 
     file = Path(path)
@@ -55,7 +69,8 @@ def read_image(path: str | os.PathLike[str]) -> npt.NDArray[np.generic]:
 
 
 def _check_container(file: Path) -> None:
-    """Size and integrity, which OpenCV alone does not promise to check."""
+    """Check size and integrity, which OpenCV does not report for every format."""
+    require("PIL")
     import PIL.Image
 
     try:
@@ -70,7 +85,7 @@ def _check_container(file: Path) -> None:
             elif picture.format == "JPEG":
                 picture.load()
     except PIL.UnidentifiedImageError as error:
-        if file.suffix.lower() not in (".tif", ".tiff", ".hdr"):  # float TIFF and HDR are OpenCV's to judge
+        if file.suffix.lower() not in (".tif", ".tiff", ".hdr"):  # Pillow does not know float TIFF and HDR
             raise FileError(
                 str(file), expected="an image", got="unknown data", mend="copy or export it again"
             ) from error
@@ -78,29 +93,30 @@ def _check_container(file: Path) -> None:
         raise
     except (OSError, SyntaxError, ValueError, PIL.Image.DecompressionBombError) as error:
         raise FileError(
-            str(file), expected="a whole image", got=str(error).lower(), mend="copy or export it again"
+            str(file), expected="an undamaged image", got=str(error).lower(), mend="copy or export it again"
         ) from error
 
 
 def to_unit(array: npt.NDArray[np.generic]) -> npt.NDArray[np.float32]:
-    """Samples as float32, integers scaled so that full scale is 1."""
+    """Samples as float32; integers are divided by the largest value of their type."""
     if array.dtype == np.float32:
         return array.astype(np.float32, copy=False)
     return array.astype(np.float32) / np.float32(np.iinfo(array.dtype).max)  # type: ignore[type-var, no-any-return]
 
 
 def write_image(path: str | os.PathLike[str], image: Tensor, *, bits: int = 8) -> None:
-    """Write (C, H, W) values in [0, 1] as an 8- or 16-bit file, as they are: no curve is applied.
+    """Write (C, H, W) values in [0, 1] as an 8- or 16-bit file; no sRGB curve is applied.
 
     Args:
-        path: the file; its suffix names the format, and the folder is made.
-        image: (1|3, H, W) in [0, 1]; values outside are cut.
+        path: the file; its suffix names the format, and its folder is made if need be.
+        image: (1|3, H, W) in [0, 1]; values outside are clamped, NaN is written as 0.
         bits: 8 or 16.
 
     Raises:
         ShapeError: not (1|3, H, W).
         FileError: the format cannot hold it, or the place cannot be written.
     """
+    require("cv2")
     import cv2
 
     if image.ndim != 3 or image.shape[0] not in (1, 3):
@@ -116,22 +132,19 @@ def write_image(path: str | os.PathLike[str], image: Tensor, *, bits: int = 8) -
     try:
         done, data = cv2.imencode(file.suffix, array)
     except cv2.error:
-        done = False
+        done, data = False, np.empty(0, np.uint8)
     if not done:
         raise FileError(str(file), expected="a .png or .tiff name", got=file.suffix or "no suffix", mend="rename it")
     with atomic_path(file) as temporary:
         temporary.write_bytes(data.tobytes())
 
 
-ANIMATIONS = frozenset({".gif", ".mp4"})
-
-
 def write_animation(path: str | os.PathLike[str], frames: Sequence[Tensor], *, rate: int = 12) -> None:
-    """Write pictures in a row as a GIF that repeats, or as an MP4.
+    """Write frames as a GIF that repeats, or as an MP4 video.
 
     Args:
         path: a .gif or .mp4 name; the file appears whole or not at all.
-        frames: (1|3, H, W) floating-point in [0, 1] each, as they are shown: no curve is applied. MP4 needs even H, W.
+        frames: (1|3, H, W) floating-point in [0, 1] each; no sRGB curve is applied. MP4 needs even H and W.
         rate: frames a second, 1 to 60.
 
     Raises:
@@ -163,16 +176,18 @@ def write_animation(path: str | os.PathLike[str], frames: Sequence[Tensor], *, r
 
 
 def _write_gif(path: Path, pixels: Sequence[Tensor], rate: int) -> None:
+    require("PIL")
     import PIL.Image
 
-    # One palette for all, or colours flicker: of every frame a part of the pixels.
-    step = max(1, round((len(pixels) * pixels[0][..., 0].numel() / 1_000_000) ** 0.5))
+    # One palette for all frames, or colours flicker.
+    step = max(1, round((len(pixels) * pixels[0][..., 0].numel() / GIF_PALETTE_PIXELS) ** 0.5))
     strip = PIL.Image.fromarray(torch.cat([p[::step, ::step] for p in pixels]).numpy()).quantize(256)
     pictures = [PIL.Image.fromarray(p.numpy()).quantize(palette=strip) for p in pixels]
     pictures[0].save(path, save_all=True, append_images=pictures[1:], duration=round(1000 / rate), loop=0)
 
 
 def _write_mp4(path: Path, pixels: Sequence[Tensor], rate: int) -> None:
+    require("cv2")
     import cv2
 
     height, width = pixels[0].shape[:2]
@@ -185,7 +200,23 @@ def _write_mp4(path: Path, pixels: Sequence[Tensor], rate: int) -> None:
 
 
 def srgb_to_linear(image: Tensor) -> Tensor:
-    """Undo the sRGB curve: encoded values in [0, 1] to linear light, any (..., C, H, W); differentiable."""
+    """Undo the sRGB curve (IEC 61966-2-1): encoded values to linear light.
+
+    Args:
+        image: (..., 1|3, H, W) encoded values in [0, 1]; differentiable.
+
+    Returns:
+        Linear light of the same shape.
+
+    Raises:
+        MissingPackageError: kornia is not installed.
+
+    Example:
+        >>> import torch, torch_orennayar as ton
+        >>> round(ton.srgb_to_linear(torch.full((1, 1, 1), 0.5)).item(), 3)
+        0.214
+    """
+    require("kornia")
     from kornia.color import rgb_to_linear_rgb
 
     linear: Tensor = rgb_to_linear_rgb(image.expand(*image.shape[:-3], 3, -1, -1))
@@ -193,23 +224,25 @@ def srgb_to_linear(image: Tensor) -> Tensor:
 
 
 def linear_to_srgb(image: Tensor, *, tone_map: str = "clamp") -> Tensor:
-    """Linear light to sRGB for display; never a step of a computation.
+    """Encode linear light as sRGB (IEC 61966-2-1) for display; computations stay in linear light.
 
     Args:
-        image: linear light, (..., 1|3, H, W).
+        image: (..., 1|3, H, W) linear light; differentiable.
         tone_map: ``"clamp"`` cuts at 1; ``"reinhard"`` maps x to x / (1 + x) (Reinhard et al. 2002).
 
     Returns:
-        Encoded values in [0, 1], of the same shape; differentiable.
+        Encoded values in [0, 1], of the same shape.
 
     Raises:
         RangeError: an unknown tone map.
+        MissingPackageError: kornia is not installed.
 
     Example:
         >>> import torch, torch_orennayar as ton
         >>> round(ton.linear_to_srgb(torch.full((1, 1, 1), 0.214)).item(), 2)
         0.5
     """
+    require("kornia")
     from kornia.color import linear_rgb_to_rgb
 
     if tone_map not in ("clamp", "reinhard"):
@@ -221,10 +254,10 @@ def linear_to_srgb(image: Tensor, *, tone_map: str = "clamp") -> Tensor:
 
 
 def encode_normals(normal: Tensor, mask: Tensor | None = None, *, green: str = "up") -> Tensor:
-    """Normals as colours in [0, 1], ``(n + 1) / 2``; background black.
+    """Normals as colours in [0, 1], ``(n + 1) / 2``; the background is black.
 
     Args:
-        normal: (..., 3, H, W) unit normals in the camera frame (y up).
+        normal: (..., 3, H, W) unit normals in the camera frame (y up); differentiable.
         mask: (..., 1, H, W) bool; default: where the normal is not zero.
         green: ``"up"`` (OpenGL: green grows upwards) or ``"down"`` (DirectX).
 
@@ -245,10 +278,10 @@ def encode_normals(normal: Tensor, mask: Tensor | None = None, *, green: str = "
 
 
 def decode_normals(image: Tensor, *, green: str = "up") -> Tensor:
-    """Unit normals from their colours; black is background and gives a zero normal.
+    """Unit normals from their colours; black is the background, where the normal is zero.
 
     Args:
-        image: (..., 3, H, W) in [0, 1], as stored (no sRGB curve).
+        image: (..., 3, H, W) in [0, 1], as stored (no sRGB curve); differentiable.
         green: as in `encode_normals`.
 
     Returns:

@@ -1,4 +1,4 @@
-"""One-page HTML reports that open from disk: every picture is inside the page."""
+"""HTML reports of one file, which open from disk: the pictures are embedded."""
 
 from __future__ import annotations
 
@@ -7,6 +7,9 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+
+from .._version import __version__
+from ..core.optional import require
 
 _PAGE = """<!doctype html>
 <html lang="en">
@@ -43,12 +46,12 @@ _PAGE = """<!doctype html>
 
 @dataclass(frozen=True)
 class Section:
-    """A heading with sentences, a table and pictures below it.
+    """A heading, paragraphs, a table and pictures, in this order.
 
     Attributes:
         heading: plain text.
-        text: one paragraph each.
-        columns: the table's head.
+        text: the paragraphs.
+        columns: the table's header.
         rows: the table's cells.
         pictures: PNG or GIF files, embedded.
     """
@@ -61,10 +64,13 @@ class Section:
 
 
 def write_report(path: str | os.PathLike[str], title: str, sections: Sequence[Section]) -> Path:
-    """Write ``sections`` as one HTML file with everything in it."""
-    import jinja2
+    """Write ``sections`` as one HTML file that embeds its pictures.
 
-    from .._version import __version__
+    Raises:
+        MissingPackageError: jinja2 is not installed.
+    """
+    require("jinja2")
+    import jinja2
 
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
     page = environment.from_string(_PAGE).render(

@@ -1,4 +1,4 @@
-"""Written by scripts/fit/fit_vcavity.py; do not edit."""
+"""Coefficients of `formulas.vcavity_form`, written by scripts/fit/fit_vcavity.py; do not edit."""
 
 VCAVITY_SHAPE = (
     0.54856,
@@ -9,6 +9,7 @@ VCAVITY_SHAPE = (
     3.5931,
     0.75488,
 )
+"""c, beta, k0, k1, k2, kappa and turn: found by a simplex search; without unit."""
 
 VCAVITY_LINEAR = (
     1.22359,
@@ -36,3 +37,4 @@ VCAVITY_LINEAR = (
     0.221324,
     0.135062,
 )
+"""a (14 values), g (5) and d (5): found by weighted least squares; without unit."""

@@ -1,4 +1,4 @@
-"""The simplest sufficient model: the cheapest one whose measured error the scene at hand can bear."""
+"""Choice of the cheapest reflectance model whose measured error stays below a tolerance."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ TABLE = Path(__file__).with_name("model_errors.json")
 
 
 class ModelChoice(str):
-    """The name of the chosen model, good wherever a model's name is, with the reasons beside it.
+    """The name of the chosen model, accepted wherever a name is, with the reasons for the choice.
 
     Attributes:
-        error: its largest RMS error over the given range of roughness and albedo.
+        error: its largest RMS error over the given ranges of roughness and albedo.
         cost: its eager forward time relative to ``lambert``.
-        reason: why this one, and what the next one up would buy, in sentences.
-        candidates: every model's error over the range, cheapest first.
+        reason: sentences that explain the choice and state error and cost of the next more accurate model.
+        candidates: every model's error over the ranges, cheapest first.
     """
 
     error: float
@@ -45,8 +45,8 @@ class ModelChoice(str):
         choice.candidates = MappingProxyType(dict(candidates))
         return choice
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Read-only mappings do not pickle by themselves."""
+    def __reduce__(self) -> tuple[object, ...]:
+        """Pickle and copy with all attributes; a read-only mapping alone cannot be pickled."""
         return ModelChoice, (str(self), self.error, self.cost, self.reason, dict(self.candidates))
 
     @property
@@ -62,27 +62,26 @@ def simplest_model(
     angles: float = math.pi / 2,
     tolerance: float = 0.01,
 ) -> ModelChoice:
-    """The cheapest model whose error against the V-cavity theory stays at or below ``tolerance``.
+    """The cheapest model whose error against the V-cavity theory is at most ``tolerance``.
 
-    The error is that of a pixel's shading over its albedo (white, facing the light, is 1), RMS over pairs of
-    light and view that are cosine-weighted up to ``angles`` from the normal; the worst case over the ranges
-    of roughness and albedo counts. It is read from a table of measurements that comes with the package
-    (``scripts/fit/tabulate_errors.py``), linear between its nodes. A registered model takes part if
-    ``register_model`` was given its ``error`` and ``cost``.
+    The error is that of a pixel's shading divided by its albedo (a white surface facing the light has 1), RMS over
+    pairs of light and view that are cosine-weighted up to ``angles`` from the normal, and the largest over the ranges
+    of roughness and albedo. It is interpolated linearly in a table of measurements that comes with the package
+    (``scripts/fit/tabulate_errors.py``). A registered model is considered if ``register_model`` was given its
+    ``error`` and ``cost``.
 
     Args:
-        roughness: radians in [0, pi/2]: a number, ``(low, high)``, or a tensor whose least and largest count.
+        roughness: radians in [0, pi/2]: a number, ``(low, high)``, or a tensor, whose minimum and maximum are used.
         albedo: the same, in [0, 1].
-        angles: largest angle between normal and light or view in the scene, radians in (0, pi/2]; 90 degrees
-            where anything may be seen.
-        tolerance: the error that the scene can bear, > 0.
+        angles: largest angle between normal and light or view in the scene, radians in (0, pi/2].
+        tolerance: largest RMS error accepted, > 0.
 
     Returns:
-        A `ModelChoice`: a string, the model's name, that carries its error, cost and the reason.
+        A `ModelChoice`: the name of the model, a string with its error, cost and the reason as attributes.
 
     Raises:
-        RangeError: roughness, albedo, angles or tolerance out of range, or a range the wrong way round.
-        ModelError: no model is that near to the theory.
+        RangeError: roughness, albedo, angles or tolerance out of range, or ``low > high``.
+        ModelError: no model is within ``tolerance``.
 
     Example:
         >>> import torch_orennayar as ton
@@ -123,33 +122,36 @@ def simplest_model(
 
 
 def _reason(name: str, errors: Mapping[str, float], scene: str, tolerance: float) -> str:
+    """Sentences about the choice and its alternatives."""
     cheaper = [f"{n} ({errors[n]:.2g})" for n in errors if _cost(n) < _cost(name)]
     better = [n for n in errors if errors[n] < errors[name] and _cost(n) > _cost(name)]
     lines = [f"{name} errs by {errors[name]:.2g} RMS over {scene}; {tolerance:g} is allowed."]
     if cheaper:
-        lines.append(f"Cheaper but not near enough: {', '.join(cheaper)}.")
+        lines.append(f"Cheaper but not accurate enough: {', '.join(cheaper)}.")
     if better:
         up = better[0]
         lines.append(
             f"The next one up, {up}, errs by {errors[up]:.2g} at {_cost(up) / _cost(name):.3g} times the cost."
         )
     else:
-        lines.append("No dearer model is nearer.")
+        lines.append("No more expensive model is more accurate.")
     return " ".join(lines)
 
 
 def _cost(name: str) -> float:
+    """Relative cost; infinite where it was not measured."""
     return MODELS[name].cost or math.inf
 
 
 @cache
 def _table() -> dict[str, Any]:
+    """The measured errors: node lists by axis, and nested lists by model."""
     table: dict[str, Any] = json.loads(TABLE.read_text(encoding="utf-8"))
     return table
 
 
 def _ends(argument: str, value: Range, high: float) -> tuple[float, float]:
-    """Least and largest of a number, a pair or a tensor, checked."""
+    """Minimum and maximum of a number, a pair or a tensor, checked."""
     if isinstance(value, Tensor):
         ends = (float(value.min()), float(value.max())) if value.numel() else (0.0, 0.0)
     elif isinstance(value, Sequence):
@@ -171,7 +173,7 @@ def _within(low: float, high: float, grid: Sequence[float]) -> list[float]:
 
 
 def _interpolate(values: Any, grids: Sequence[Sequence[float]], point: Sequence[float]) -> float:
-    """Nested lists, multi-linear, constant beyond the ends."""
+    """Multilinear interpolation in nested lists, constant beyond the ends of the grids."""
     if not grids:
         return float(values)
     grid, at = grids[0], min(max(point[0], grids[0][0]), grids[0][-1])

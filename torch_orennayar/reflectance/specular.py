@@ -1,4 +1,4 @@
-"""Specular lobes for scenes that need one: plain functions of the three cosines, to add to a diffuse model.
+"""Specular lobes: functions of the three cosines, to be added to a diffuse model.
 
 All return ``pi f_r`` like the diffuse models, so ``(diffuse + strength * lobe) * ci`` is the shading. All are
 reciprocal, and 0 where light or view is below the surface. They are not members of ``MODELS``.
@@ -13,13 +13,13 @@ from torch import Tensor
 
 from ..core.checks import check_floating, check_range
 
-_SHARPER = "higher is sharper; 10 to 100 are usual"
+_EXPONENT_HINT = "higher is sharper; 10 to 100 are usual"
 
 
 def phong(ci: Tensor, co: Tensor, lv: Tensor, exponent: Tensor | float) -> Tensor:
     """Phong's lobe about the mirror direction, ``(n + 2) / 2 max(0, r.v)^n`` with ``r.v = 2 ci co - lv``.
 
-    The factor (Lafortune & Willems 1994) keeps the energy at or below 1; without it, it is the cosine
+    The factor (Lafortune & Willems 1994) keeps the energy at or below 1; without it, the lobe is the cosine
     power of Phong (1975).
 
     Args:
@@ -41,14 +41,14 @@ def phong(ci: Tensor, co: Tensor, lv: Tensor, exponent: Tensor | float) -> Tenso
         16.0
     """
     check_floating(ci=ci, co=co, lv=lv)
-    check_range("exponent", exponent, 1.0, math.inf, _SHARPER)
+    check_range("exponent", exponent, 1.0, math.inf, _EXPONENT_HINT)
     return _above(ci, co) * ((exponent + 2) / 2) * _power(2 * ci * co - lv, exponent)
 
 
 def blinn_phong(ci: Tensor, co: Tensor, lv: Tensor, exponent: Tensor | float) -> Tensor:
     """Blinn's lobe about the half vector, ``(n + 8) / 8 max(0, n.h)^n`` with ``n.h = (ci + co) / |l + v|``.
 
-    The factor is the usual normalisation for the cosine-weighted lobe; without it, it is the cosine power of
+    The factor is the usual normalisation of the cosine-weighted lobe; without it, the lobe is the cosine power of
     Blinn (1977).
 
     Args:
@@ -71,7 +71,7 @@ def blinn_phong(ci: Tensor, co: Tensor, lv: Tensor, exponent: Tensor | float) ->
         5.0
     """
     check_floating(ci=ci, co=co, lv=lv)
-    check_range("exponent", exponent, 1.0, math.inf, _SHARPER)
+    check_range("exponent", exponent, 1.0, math.inf, _EXPONENT_HINT)
     return _above(ci, co) * ((exponent + 8) / 8) * _power(_half(ci, co, lv), exponent)
 
 
@@ -108,15 +108,16 @@ def microfacet(ci: Tensor, co: Tensor, lv: Tensor, width: Tensor | float, reflec
     ci, co = torch.where(above, ci, 1), torch.where(above, co, 1)
     square = width * width
     half = _half(ci, co, lv)
-    # pi D = square / (1 - (1 - square) half^2)^2, with 1 - half^2 written so that nothing cancels at the peak.
+    # pi D = square / (1 - (1 - square) half^2)^2, with 1 - half^2 factored to avoid cancellation at the peak.
     slope = (1 - half) * (1 + half) + square * half * half
-    # ci and co at once: 4 ci co / G of Smith, correlated; it does not vanish while both are above the surface.
+    # Twice this is 4 ci co / G of Smith, height-correlated; it is positive while both are above the surface.
     masking = ci * (square + (1 - square) * co * co).sqrt() + co * (square + (1 - square) * ci * ci).sqrt()
     fresnel = reflectance + (1 - reflectance) * (1 - _light_half(lv)).clamp_min(0) ** 5
     return above * fresnel * square / (slope * slope) / (2 * masking)
 
 
 def _above(ci: Tensor, co: Tensor) -> Tensor:
+    """Whether light and view are above the surface."""
     return (ci > 0) & (co > 0)
 
 
@@ -127,7 +128,7 @@ def _power(base: Tensor, exponent: Tensor | float) -> Tensor:
 
 
 def _half(ci: Tensor, co: Tensor, lv: Tensor) -> Tensor:
-    """``n.h``; opposite directions have no half vector, and the floor keeps that finite."""
+    """``n.h``, clamped where light and view are opposite and have no half vector."""
     return ((ci + co) / (2 * (1 + lv).clamp_min(1e-6)).sqrt()).clamp_max(1)
 
 

@@ -1,14 +1,14 @@
-"""The V-cavity theory itself, by quadrature: what the closed forms are judged by. Slow.
+"""The V-cavity theory by numerical quadrature: the reference for the closed forms. Slow.
 
-A surface of long symmetric grooves with Lambertian walls (Oren & Nayar 1994). A wall with normal a at
+The surface consists of long symmetric grooves with Lambertian walls (Oren & Nayar 1994). A wall with normal a at
 angle ``t`` from n faces the wall with normal ``a' = 2 <a,n> n - a``; ``t`` has density exp(-t^2 / 2 sigma^2)
 per solid angle, of unit integral over the macroscopic area. Lengths on a wall are measured from the
 valley, 1 at the ridge: light and view reach a wall from ``shadow`` and ``mask`` upward.
 
 The direct light and the first inter-reflection are the paper's integrals (Hottel's crossed strings).
-Light that bounces more often solves the groove's radiosity equation, whose kernel is projected on
-Legendre polynomials; the operator that takes one wall's radiosity to the other's irradiance is ``T``
-below, so bounces 2, 3, ... are ``rho^2 T^2 + rho^3 T^3 + ... = rho^2 T^2 (1 - rho T)^-1``.
+Further bounces solve the radiosity equation of the groove, with its kernel projected on
+Legendre polynomials; ``T`` is the operator that maps the radiosity of one wall to the irradiance of the other,
+so bounces 2, 3, ... are ``rho^2 T^2 + rho^3 T^3 + ... = rho^2 T^2 (1 - rho T)^-1``.
 """
 
 from __future__ import annotations
@@ -22,15 +22,20 @@ from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
 SLOPES, AZIMUTHS, MODES = 32, 96, 8
-"""Nodes over the walls' slope and azimuth, and polynomials along a wall."""
-_REACH = 5.5  # standard deviations after which the density is cut
-_CHUNK = 48  # directions at a time
+"""Nodes over the slope and azimuth of the walls, and number of polynomials along a wall; set by hand. Three times the
+nodes differ by 5e-5 RMS (``scripts/fit/tabulate_errors.py``, ``quadrature_error``)."""
+EXCHANGE_NODES = 16
+"""Gauss-Legendre nodes for the moments of the radiosity kernel; set by hand."""
+_REACH = 5.5
+"""Slope, in standard deviations, at which the density is truncated: exp(-5.5^2 / 2) is 3e-7."""
+_CHUNK = 48
+"""Directions per step, which bounds the memory for temporaries; set by hand."""
 
 
 def theory(ci: Tensor, co: Tensor, lv: Tensor, rho: Tensor, sigma: Tensor) -> Tensor:
-    """The V-cavity theory with all bounces by quadrature in float64, about 2,000 values a second.
+    """The V-cavity theory with all bounces by quadrature in float64, about 2,000 values per second.
 
-    Sines are floored at 1e-6 before any division, which keeps gradients finite at the normal.
+    Sines are clamped to at least 1e-6 before any division, which keeps gradients finite at the normal.
     """
     shape = torch.broadcast_shapes(ci.shape, co.shape, lv.shape, rho.shape, sigma.shape)
     i, o, between, albedo, spread = (t.expand(shape).reshape(-1).double() for t in (ci, co, lv, rho, sigma))
@@ -39,10 +44,17 @@ def theory(ci: Tensor, co: Tensor, lv: Tensor, rho: Tensor, sigma: Tensor) -> Te
 
 
 def reflectance_by_bounces(ci: Tensor, co: Tensor, lv: Tensor, sigma: Tensor, rho: Tensor) -> Tensor:
-    """``pi f_r / rho`` for N directions (N,) and K albedos each (N, K), as direct, second and all later bounces.
+    """``pi f_r / rho`` by bounces, for N pairs of directions and K albedos each.
+
+    Args:
+        ci: (N,) cosines between normal and light.
+        co: (N,) cosines between normal and view.
+        lv: (N,) cosines between light and view.
+        sigma: (N,) roughness in radians.
+        rho: (N, K) albedos in [0, 1].
 
     Returns:
-        (N, K, 3): their sum is the whole.
+        (N, K, 3): direct light, first inter-reflection, and the sum of all further ones.
     """
     if not ci.numel():
         return rho.new_zeros(*rho.shape, 3) + 0 * (ci + co + lv + sigma)[:, None, None]
@@ -56,21 +68,21 @@ def reflectance_by_bounces(ci: Tensor, co: Tensor, lv: Tensor, sigma: Tensor, rh
 
 
 def floored_sine(cosine: Tensor) -> Tensor:
-    """The sine of an angle in [0, pi/2] from its cosine, floored at 1e-6 so that its derivative stays finite."""
+    """The sine of an angle in [0, pi/2] from its cosine, clamped to at least 1e-6 so that its derivative is finite."""
     return ((1 - cosine) * (1 + cosine)).clamp_min(1e-12).sqrt()
 
 
 @cache
 def gauss_legendre(count: int) -> tuple[Tensor, Tensor]:
-    """Gauss-Legendre nodes and weights on [0, 1]."""
+    """Gauss-Legendre nodes and weights on [0, 1], float64."""
     node, weight = np.polynomial.legendre.leggauss(count)
-    with torch.inference_mode(False):  # the cache outlives the mode
+    with torch.inference_mode(False):  # the cached tensors may be used outside of it
         return torch.from_numpy((node + 1) / 2), torch.from_numpy(weight / 2)
 
 
 @cache
-def _legendre(modes: int) -> tuple[Tensor, Tensor]:
-    """Coefficients of the orthonormal polynomials on [0, 1] and of their integrals from x to 1, by power of x."""
+def legendre_coefficients(modes: int) -> tuple[Tensor, Tensor]:
+    """Coefficients of the orthonormal Legendre polynomials on [0, 1] and of their integrals from x to 1."""
     rows = np.zeros((modes, modes))
     integrals = np.zeros((modes, modes + 1))
     for k in range(modes):
@@ -85,24 +97,24 @@ def _legendre(modes: int) -> tuple[Tensor, Tensor]:
 
 
 def _exchange(slope: Tensor) -> Tensor:
-    """``T`` for walls of the given slope, (..., MODES, MODES): irradiance of one wall from the other's radiosity.
+    """``T`` for walls of the given slope, (..., MODES, MODES): the irradiance of a wall by the radiosity of the other.
 
     The kernel is homogeneous, so moments of x^i y^j are ``(k_i + k_j) / (i + j + 1)`` with
     ``k_j`` the integral of t^j K(1, t), here over the angle under which a point sees the other wall.
     """
-    node, weight = (t.to(slope) for t in gauss_legendre(16))
+    node, weight = (t.to(slope) for t in gauss_legendre(EXCHANGE_NODES))
     angle = slope[..., None] * node
     seen = (slope[..., None] + angle).sin()
     ratio = (slope[..., None] - angle).sin() / seen.clamp_min(1e-30)
     power = torch.arange(1, MODES + 1, device=slope.device)
     k = 0.5 * slope[..., None] * (_powers(ratio, MODES)[..., 1:] * (seen * weight)[..., None]).sum(-2)
     moments = (k[..., :, None] + k[..., None, :]) / (power[:, None] + power[None, :] - 1)
-    basis = _legendre(MODES)[0].to(slope)
+    basis = legendre_coefficients(MODES)[0].to(slope)
     return basis @ moments @ basis.T
 
 
 def _integrate(ci: Tensor, co: Tensor, lv: Tensor, sigma: Tensor, rho: Tensor) -> Tensor:
-    """One chunk of `reflectance_by_bounces`; inside, axes are direction, slope, azimuth."""
+    """One chunk of `reflectance_by_bounces`; the axes of its intermediate results are direction, slope, azimuth."""
     node, weight = (t.to(ci) for t in gauss_legendre(SLOPES))
     reach = (_REACH * sigma).clamp_max(math.pi / 2)[:, None]
     slope = reach * node
@@ -111,7 +123,7 @@ def _integrate(ci: Tensor, co: Tensor, lv: Tensor, sigma: Tensor, rho: Tensor) -
     density = density / density.sum(1, keepdim=True) / AZIMUTHS
 
     sin_i, sin_o = floored_sine(ci), floored_sine(co)
-    # Azimuths are counted from the bisector of light and view, so that exchanging the two mirrors the nodes.
+    # Azimuths are relative to the bisector of light and view, so that exchanging the two mirrors the nodes.
     cos_phi = ((lv - ci * co) / (sin_i * sin_o)).clamp(-1, 1)
     cos_half, sin_half = (((1 + sign * cos_phi) / 2).clamp_min(1e-12).sqrt() for sign in (1, -1))
     azimuth = (torch.arange(AZIMUTHS, device=ci.device) + 0.5).to(ci) * (2 * math.pi / AZIMUTHS)
@@ -148,23 +160,23 @@ def _integrate(ci: Tensor, co: Tensor, lv: Tensor, sigma: Tensor, rho: Tensor) -
 
 
 def _hidden(height: Tensor, projection: Tensor) -> Tensor:
-    """The share of a wall, from the valley up, that the facing wall hides; 0 where the wall faces away."""
+    """The share of a wall, from the valley up, that the opposite wall hides; 0 where the wall faces away."""
     return (1 - height / torch.where(projection > 0, projection, 1)).clamp_min(0) * (projection > 0)
 
 
 def _string(x: Tensor | float, y: Tensor | float, turn: Tensor) -> Tensor:
-    """Half the distance between the points x and y of facing walls."""
+    """Half the distance between the points x and y of opposite walls."""
     square = x * x + y * y + 2 * x * y * turn
     return 0.5 * square.clamp_min(1e-40).sqrt()
 
 
 def _lit_moments(start: Tensor) -> Tensor:
     """Integrals of the polynomials from ``start`` to 1, (..., MODES)."""
-    return _powers(start, MODES) @ _legendre(MODES)[1].to(start).T
+    return _powers(start, MODES) @ legendre_coefficients(MODES)[1].to(start).T
 
 
 def _powers(x: Tensor, highest: int) -> Tensor:
-    """``x ** 0, 1, ... highest`` along a new last axis, by products: ``**`` has no second derivative at 0."""
+    """Powers 0 to ``highest`` of x along a new last axis, by products: ``**`` has no second derivative at 0."""
     powers = [torch.ones_like(x)]
     for _ in range(highest):
         powers.append(powers[-1] * x)

@@ -1,9 +1,9 @@
-"""Gradients at occlusion edges: blend pixels across silhouettes by how far the silhouette lies between their centres.
+"""Gradients at occlusion edges: blend pixels across a silhouette by its position between their centres.
 
 The rasteriser decides every pixel by its centre, so a mask does not change while an edge moves between two centres.
 Here each edge of the mesh that can occlude is followed through the rows or columns that it crosses; where it passes
-between a pixel of its surface and one of something farther, it gives the one a share of the other. The sum of a mask is
-then the area of the shape, and has the gradient of an area.
+between a pixel of its surface and one of something farther away, the values of the two are blended. The sum of a mask
+is then the area of the shape, and has the gradient of an area.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from .normal_map import NormalMap
 
 
 def face_neighbours(faces: Tensor) -> Tensor:
-    """The face across every edge.
+    """The neighbouring face across every edge.
 
     Args:
         faces: (F, 3) int64.
 
     Returns:
-        (F, 3) int64: across the edge from corner k to corner k + 1, or -1 where there is none, more than one, or one
-        whose corners run the other way round.
+        (F, 3) int64: the face across the edge from corner k to corner k + 1, or -1 where there is none, more than one,
+        or one of the opposite orientation.
 
     Raises:
         ShapeError: another shape or type.
@@ -37,7 +37,7 @@ def face_neighbours(faces: Tensor) -> Tensor:
         >>> ton.face_neighbours(torch.tensor([[0, 1, 2], [2, 1, 3]])).tolist()
         [[-1, 1, -1], [0, -1, -1]]
     """
-    check_faces(faces, 1 << 31)  # so that two indices make one key
+    check_faces(faces, 1 << 31)  # so that two indices fit in one int64 key
     begin, end = faces.reshape(-1), faces.roll(-1, 1).reshape(-1)
     key = torch.minimum(begin, end) * (1 << 31) + torch.maximum(begin, end)
     key, order = key.sort(stable=True)
@@ -57,32 +57,32 @@ def face_neighbours(faces: Tensor) -> Tensor:
 def antialias(
     maps: Tensor, seen: NormalMap, vertices: Tensor, faces: Tensor, *, neighbours: Tensor | None = None
 ) -> Tensor:
-    """Blend maps across silhouettes, so that masks, normals and pictures have gradients where the surface ends.
+    """Blend maps across silhouettes, which gives masks, normals and images gradients where the surface ends.
 
-    A pixel whose neighbour's surface reaches over the line between them takes up to half of its value, by linear
-    coverage between the two centres; nothing changes elsewhere. Edges that are more vertical act between pixels of a
-    row, others between pixels of a column. Blended normals are not unit. Left as they are: edges with a corner nearer
-    than the near plane, and edges where a steep open surface ends hardly before what is behind it, which look like
-    seams.
+    A pixel into which the surface of its neighbour extends takes up to half of the neighbour's value, by linear
+    coverage between the two centres; other pixels do not change. Edges that are more vertical than horizontal act
+    between pixels of a row, others between pixels of a column. Blended normals are not of unit length. Two kinds of
+    edges are not blended: those with a corner before the near plane, and those where a steep open surface ends just in
+    front of what is behind it, which cannot be distinguished from seams.
 
     Args:
-        maps: (B, C, H, W), such as ``seen.mask.float()``, ``seen.normal`` or shaded pictures; differentiable.
-        seen: what `render_normals` returned.
-        vertices: (V, 3) or (B, V, 3) that it was given; differentiable, as is ``seen.camera``.
-        faces: (F, 3) that it was given, corners of neighbours running the same way round.
-        neighbours: `face_neighbours` of ``faces``, to save the time in a loop.
+        maps: (B, C, H, W), such as ``seen.mask.float()``, ``seen.normal`` or shaded images; differentiable.
+        seen: the result of `render_normals`.
+        vertices: (V, 3) or (B, V, 3), the vertices that were rendered; differentiable, as is ``seen.camera``.
+        faces: (F, 3) int64, the faces that were rendered, consistently oriented.
+        neighbours: `face_neighbours` of ``faces``, which need not be computed again in a loop.
 
     Returns:
-        (B, C, H, W).
+        (B, C, H, W), the blended maps.
 
     Raises:
-        ShapeError: maps of another size than ``seen`` or not floating-point (``.float()`` makes a mask so), vertices or
-            neighbours of another mesh.
+        ShapeError: maps of another size than ``seen`` or not floating-point (use ``.float()`` for a mask), or vertices
+            or neighbours of another mesh.
         RangeError: faces of another mesh.
 
     Source:
         After the idea of Laine et al. 2020, "Modular primitives for high-performance differentiable rendering"
-        (section 3.6), followed along edges rather than pixels, so that faces smaller than a pixel count too.
+        (section 3.6), but along edges instead of pixels, so that faces smaller than a pixel are included.
 
     Example:
         >>> import torch, torch_orennayar as ton
@@ -105,11 +105,11 @@ def antialias(
     image = seen.camera.to_image(corners, (height, width))
     edges = _occluding(image.detach(), corners.detach(), faces, neighbours, seen)
     result = maps
-    for axis in (0, 1):  # the second blends what the first made, so that no value leaves the range of the maps
+    for axis in (0, 1):  # the second pass blends the result of the first, so that no value leaves the range of the maps
         inner, outer, share = _crossings(edges, image, corners, seen, axis)
         flat = result.transpose(0, 1).reshape(maps.shape[1], -1)
         change = flat[:, outer] - flat[:, inner]
-        gain, loss = (share - 0.5).relu(), (0.5 - share).clamp_min(0)  # halfway, one of them has a slope
+        gain, loss = (share - 0.5).relu(), (0.5 - share).clamp_min(0)  # at exactly 0.5 only clamp_min has a gradient
         moved = torch.zeros_like(flat).index_add(1, outer, -change * gain.to(maps))
         moved = moved.index_add(1, inner, change * loss.to(maps))
         result = result + moved.reshape(maps.shape[1], batch, height, width).transpose(0, 1)
@@ -117,6 +117,7 @@ def antialias(
 
 
 def _check(maps: Tensor, seen: NormalMap, vertices: Tensor, faces: Tensor, neighbours: Tensor | None) -> None:
+    """Check that all arguments of `antialias` belong to one view."""
     batch, _, height, width = seen.normal.shape
     check_floating(maps=maps)
     check_mesh(vertices, faces)
@@ -135,7 +136,15 @@ def _check(maps: Tensor, seen: NormalMap, vertices: Tensor, faces: Tensor, neigh
 
 
 class _Edges(NamedTuple):
-    """Edges that can occlude: view, the two corners, a corner of the surface beside them, and whether it ends there."""
+    """Edges that can occlude, (E,) each.
+
+    Attributes:
+        view: index of the view.
+        begin: index of the first vertex.
+        end: index of the second vertex.
+        beside: index of the third vertex of the adjacent face, which tells the side of the surface.
+        border: whether the mesh ends at the edge.
+    """
 
     view: Tensor
     begin: Tensor
@@ -145,16 +154,16 @@ class _Edges(NamedTuple):
 
 
 def _occluding(image: Tensor, corners: Tensor, faces: Tensor, neighbours: Tensor, seen: NormalMap) -> _Edges:
-    """Edges between a face seen from the front and one from behind, and edges of one face."""
+    """Edges between a face seen from the front and one seen from behind, and edges of a single face."""
     a, b, c = (image[:, faces[:, k]] for k in range(3))
-    volume = (a * torch.linalg.cross(b, c)).sum(2)  # (B, F), 0 for a face seen from its edge
+    volume = (a * torch.linalg.cross(b, c)).sum(2)  # (B, F), 0 for a face seen edge-on
     border = neighbours < 0
     turned = (volume < 0)[:, neighbours.clamp_min(0)] != (volume < 0)[:, :, None]
     own = torch.arange(len(faces), device=faces.device)[:, None]
     view, face, side = (border | (turned & (own < neighbours))).nonzero().unbind(1)
     begin, end, beside = (faces[face, (side + k) % 3] for k in range(3))
     across, ends = neighbours[face, side], border[face, side]
-    # Of the two faces, the one that shows more of itself tells on which side of the edge the surface is.
+    # Of the two faces, the one with the larger area in the image tells on which side of the edge the surface is.
     wider = ~ends & (volume[view, across].abs() > volume[view, face].abs())
     beside = torch.where(wider, faces[across].sum(1) - begin - end, beside)
     ahead = torch.where(wider, volume[view, across], volume[view, face]) != 0
@@ -169,10 +178,12 @@ def _crossings(
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Pairs of neighbouring pixels of a row (``axis`` 0) or column (1) with a silhouette between their centres.
 
-    Returns flat indices of the pixel inside and outside, and how far from the one to the other the silhouette is.
+    Returns:
+        Flat indices of the inner and the outer pixel, (N,) each, and the position of the silhouette between them,
+        (N,) from 0 at the inner to 1 at the outer centre; differentiable.
     """
     _, _, height, width = seen.normal.shape
-    across, along = (width, height) if axis == 0 else (height, width)  # pixels of a line, and lines
+    across, along = (width, height) if axis == 0 else (height, width)  # pixels per line, and lines
     begin, end, beside = (image[edges.view, corner] for corner in edges[1:4])
     begin, end = begin[:, :2] / begin[:, 2:], end[:, :2] / end[:, 2:]
     steep = (end - begin).detach().abs()
@@ -185,7 +196,7 @@ def _crossings(
     p, q = begin[edge], end[edge]
     part = (line + 0.5 - p[:, 1 - axis]) / (q[:, 1 - axis] - p[:, 1 - axis])
     place = p[:, axis] + part * (q[:, axis] - p[:, axis])
-    # The surface is on the side of its third corner: before the crossing or behind it.
+    # The surface is on the side of its third corner: before or after the crossing.
     third = beside[edge, :2].detach() / beside[edge, 2:].detach().abs().clamp_min(1e-300)
     slope = ((q - p)[:, axis] / (q - p)[:, 1 - axis]).detach()
     before = third[:, axis] < p[:, axis].detach() + slope * (third[:, 1 - axis] - p[:, 1 - axis].detach())
@@ -208,7 +219,7 @@ def _crossings(
 def _occludes(
     edges: _Edges, edge: Tensor, part: Tensor, corners: Tensor, inner: Tensor, outer: Tensor, seen: NormalMap
 ) -> Tensor:
-    """Whether the inner pixel sees the surface and the outer one something behind the edge."""
+    """Whether the inner pixel shows the surface and the outer one something behind the edge."""
     depth = -corners[:, :, 2]
     begin, end = depth[edges.view, edges.begin][edge], depth[edges.view, edges.end][edge]
     if seen.camera.is_perspective:
@@ -216,13 +227,13 @@ def _occludes(
     else:
         there = begin + part * (end - begin)
     inside, outside = (seen.depth.detach().double().flatten()[pixel] for pixel in (inner, outer))
-    # Where a surface merely has a seam, both pixels are about as deep as the edge.
+    # At a seam within a surface, both pixels are about as deep as the edge.
     slack = torch.where(edges.border[edge], 2 * (inside - there).abs(), 0.0) + 1e-6 * there.abs()
     return inside.isfinite() & (outside > inside) & (outside > there + slack)
 
 
 def _outermost(pair: Tensor, share: Tensor) -> Tensor:
-    """Of several crossings between the same two pixels the index of the one farthest out."""
+    """Indices of the outermost crossing between any two pixels."""
     order = share.argsort(descending=True, stable=True)
     order = order[pair[order].argsort(stable=True)]
     first = torch.ones(len(order), dtype=torch.bool, device=pair.device)

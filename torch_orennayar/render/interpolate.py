@@ -1,8 +1,8 @@
-"""Normals, depth and barycentric weights of the faces that pixels see: a table per face, then sums per pixel.
+"""Interpolate normals, depth and barycentric weights: a table with one row per face, then a few products per pixel.
 
-On a face, weights over depth are linear in the image (Olano & Greer 1997), so a face needs a few numbers and a pixel a
-few products. Coverage rounds corners to a grid, this does not: a pixel that the rounding gave to a face sees the face's
-nearest point.
+On a face, barycentric weights divided by depth are linear in the image (Olano & Greer 1997), so a few numbers per face
+are enough. Unlike the coverage, these use the corners before rounding: a pixel centre that is covered only because of
+the rounding takes the nearest point of the face.
 """
 
 from __future__ import annotations
@@ -16,29 +16,33 @@ from ..geometry.mesh import unit_or_zero
 from .spans import exporting
 
 TILE = 1 << 15
-"""Pixels at once."""
+"""Pixels per tile, so that its values stay in a processor's cache: set by hand."""
 CHUNK = 1 << 14
-"""Faces at once."""
+"""Faces per step, which bounds the memory for temporaries: set by hand."""
 CANCELLED = 1e-6
-"""Length below which blended unit normals point nowhere; the face's own normal then stands in."""
+"""Length of an interpolated normal below which corner normals cancel and the face normal is used: set by hand."""
 STEEPEST = 1e6
-"""Change of a weight per pixel above which a face is seen from its edge: its centre then stands in."""
+"""Change of a weight per pixel above which a face counts as edge-on and its centre is used: set by hand."""
 
 
-class Surface(NamedTuple):
-    """Vertices of B views in float64: camera frame (B, V, 3), pixels (B, V, 3) homogeneous, unit normals or None.
+class VertexAttributes(NamedTuple):
+    """Vertices of B views, float64.
 
-    ``as_given`` normals are not turned toward the viewer.
+    Attributes:
+        position: (B, V, 3) in the camera frame.
+        image: (B, V, 3) homogeneous pixel coordinates x w, y w, w.
+        normal: (B, V, 3) unit normals, or None for flat faces.
+        as_given: whether normals are taken as they are, not turned toward the viewer.
     """
 
-    corners: Tensor
+    position: Tensor
     image: Tensor
-    normals: Tensor | None
+    normal: Tensor | None
     as_given: bool
 
 
 class Maps(NamedTuple):
-    """Per pixel of all views, planes first: normal (3, B, H, W), depth (B, H, W), barycentric (3, B, H, W)."""
+    """Values at the pixels of all views: normal (3, B, H, W), depth (B, H, W), barycentric (3, B, H, W)."""
 
     normal: Tensor
     depth: Tensor
@@ -46,26 +50,38 @@ class Maps(NamedTuple):
 
 
 def interpolate(
-    surface: Surface, faces: Tensor, face: Tensor, size: tuple[int, int], *, perspective: bool, dtype: torch.dtype
+    vertices: VertexAttributes,
+    faces: Tensor,
+    face: Tensor,
+    size: tuple[int, int],
+    *,
+    perspective: bool,
+    dtype: torch.dtype,
 ) -> Maps:
-    """What every pixel sees of its face; ``face`` is (B, H * W), F where nothing is seen.
+    """Interpolate the attributes of the visible face at every pixel.
 
-    Differentiable in ``surface``.
+    Args:
+        vertices: the vertices; all tensors are differentiable.
+        faces: (F, 3) int64.
+        face: (B, H * W) index of the visible face; F where a pixel sees none.
+        size: (H, W).
+        perspective: whether the views are perspective.
+        dtype: dtype of the maps.
     """
     views, count = face.shape[0], faces.shape[0]
     seen, index = _seen(face, count)
-    smooth = surface.normals is not None
+    smooth = vertices.normal is not None
     view = seen // max(count, 1)
-    corner = (faces.index_select(0, seen - view * count) + (view * surface.image.shape[1])[:, None]).T
-    planes = surface._replace(
-        corners=_planes(surface.corners),
-        image=_planes(surface.image),
-        normals=None if surface.normals is None else _planes(surface.normals),
+    corner = (faces.index_select(0, seen - view * count) + (view * vertices.image.shape[1])[:, None]).T
+    planes = vertices._replace(
+        position=_planes(vertices.position),
+        image=_planes(vertices.image),
+        normal=None if vertices.normal is None else _planes(vertices.normal),
     )
     parts = [corner] if exporting() else corner.split(CHUNK, 1)
     columns = [_columns(planes, part.reshape(-1), size, perspective, dtype) for part in parts]
-    columns.append(_nothing(smooth, perspective, columns[0]))
-    table = torch.cat([_turn(c.T).T for c in columns])
+    columns.append(_empty_column(smooth, perspective, columns[0]))
+    table = torch.cat([_transpose(c.T).T for c in columns])
     if exporting():
         hit = index < table.shape[0] - 1
         return Maps(
@@ -77,7 +93,7 @@ def interpolate(
 
 
 def _seen(face: Tensor, count: int) -> tuple[Tensor, Tensor]:
-    """The faces that are seen at all, as view * F + face, and for every pixel its place among them, or their number."""
+    """The visible faces as view * F + face, and each pixel's index among them: their number if it sees none."""
     if exporting():
         return torch.arange(count), face.flatten()
     views = face.shape[0]
@@ -92,24 +108,35 @@ def _seen(face: Tensor, count: int) -> tuple[Tensor, Tensor]:
 
 
 def _planes(values: Tensor) -> Tensor:
-    """(B, V, 3) as (3, B V)."""
+    """Bring (B, V, 3) to (3, B V)."""
     return values.reshape(-1, 3).T.contiguous()
 
 
-def _columns(surface: Surface, corner: Tensor, size: tuple[int, int], perspective: bool, dtype: torch.dtype) -> Tensor:
-    """A column per face, from the vertices of all views as planes and the faces' first, second and third corners.
+def _columns(
+    planes: VertexAttributes, corner: Tensor, size: tuple[int, int], perspective: bool, dtype: torch.dtype
+) -> Tensor:
+    """One column of the table per face.
 
-    Rows: a pixel centre near the face, x and y; change along x, along y, and value there of two weights (over w, and
-    1 / w itself, if perspective); depth, then smooth normals, at the first corner; their differences to the second and
-    to the third; the face's own normal.
+    Args:
+        planes: the vertices of all views, (3, B V).
+        corner: (3 T,) the first, then the second, then the third corners of T faces among them.
+        size: (H, W).
+        perspective: whether the views are perspective.
+        dtype: dtype of the table.
+
+    Returns:
+        (K, T): x and y of a pixel centre near the face; derivative by x, derivative by y, and value at that centre of
+        two weights (divided by w, with 1 / w as a third, if perspective); depth, then the normal unless faces are
+        flat, at the first corner; their differences from the first to the second and to the third corner; the face
+        normal.
     """
 
-    def gather(planes: Tensor) -> Tensor:
-        return planes.index_select(1, corner).view(3, 3, -1)  # component, corner, face
+    def gather(plane: Tensor) -> Tensor:
+        return plane.index_select(1, corner).view(3, 3, -1)  # component, corner, face
 
-    image, place = gather(surface.image), gather(surface.corners)
+    image, position = gather(planes.image), gather(planes.position)
     near = _pixel_near(image, size)
-    # From that centre and over the largest w the numbers are of a pixel's size, and ``dtype`` is enough for them.
+    # Relative to that centre and to the largest w, numbers are of the order of a pixel, for which ``dtype`` suffices.
     x, y, w = image / image[2].detach().abs().amax(0).clamp_min(1e-300)
     local = torch.stack((x - near[0] * w, y - near[1] * w, w)).to(dtype)
     edge = torch.stack([_cross(local[:, (k + 1) % 3], local[:, (k + 2) % 3]) for k in range(3)], 1)
@@ -121,19 +148,20 @@ def _columns(surface: Surface, corner: Tensor, size: tuple[int, int], perspectiv
         weight = torch.cat((weight, edge.sum(1, keepdim=True) * inverse), 1)
     middle = weight.new_tensor((1 / 3, 1 / 3, 1.0)[: weight.shape[1]])[:, None]
     value = torch.where(thin, middle, weight[2])
-    side = 1 - 2 * (volume > 0).to(dtype)  # corners run counter-clockwise from the front, and rows go down
-    flat = unit_or_zero(_cross(place[:, 1] - place[:, 0], place[:, 2] - place[:, 0]), 0).to(dtype) * side
-    values = -place[2:]
-    if surface.normals is not None:
-        normal = gather(surface.normals)
-        values = torch.cat((values, normal if surface.as_given else normal * side))
+    side = 1 - 2 * (volume > 0).to(dtype)  # corners are counter-clockwise from the front, and rows go down
+    edges = position[:, 1] - position[:, 0], position[:, 2] - position[:, 0]
+    flat = unit_or_zero(_cross(*edges), 0).to(dtype) * side
+    values = -position[2:]
+    if planes.normal is not None:
+        normal = gather(planes.normal)
+        values = torch.cat((values, normal if planes.as_given else normal * side))
     first = values[:, 0]
     rest = (first, values[:, 1] - first, values[:, 2] - first)
     return torch.cat((near.to(dtype), weight[0], weight[1], value, *(t.to(dtype) for t in rest), flat))
 
 
 def _pixel_near(image: Tensor, size: tuple[int, int]) -> Tensor:
-    """A pixel centre (2, N) close to every face, from which small numbers reach its pixels."""
+    """A pixel centre (2, N) of the image close to every face, relative to which its coordinates are small."""
     limit = image.new_tensor((size[1], size[0]))[:, None] - 0.5
     ahead = image[2] > 0
     place = image[:2] / torch.where(ahead, image[2], 1.0)
@@ -141,8 +169,8 @@ def _pixel_near(image: Tensor, size: tuple[int, int]) -> Tensor:
     return torch.minimum(inside.clamp_min(0.5), limit)
 
 
-def _nothing(smooth: bool, perspective: bool, like: Tensor) -> Tensor:
-    """The column of a pixel that sees nothing: it divides by nothing that is 0."""
+def _empty_column(smooth: bool, perspective: bool, like: Tensor) -> Tensor:
+    """The column for pixels that see no face: all divisors are 1."""
     rows = [0.0] * (10 if perspective else 8) + [1.0] * perspective
     rows += [1.0, 0.0, 0.0, 1.0] + [0.0] * 8 if smooth else [1.0, 0.0, 0.0]
     return like.new_tensor([*rows, 0.0, 0.0, 0.0])[:, None]
@@ -154,7 +182,7 @@ def _cross(a: Tensor, b: Tensor) -> Tensor:
 
 
 def _grid(rows: slice, size: tuple[int, int], like: Tensor) -> tuple[Tensor, Tensor]:
-    """Columns (W,) and ``rows`` (R, 1) of pixel centres; rows count through all views."""
+    """Coordinates of pixel centres: columns (W,) and ``rows`` (R, 1), which are numbered through all views."""
     height, width = size
     x = torch.arange(width, device=like.device, dtype=like.dtype) + 0.5
     y = (torch.arange(rows.start, rows.stop, device=like.device) % height).to(like.dtype)
@@ -164,13 +192,13 @@ def _grid(rows: slice, size: tuple[int, int], like: Tensor) -> tuple[Tensor, Ten
 def _values(
     rows: Tensor, hit: Tensor, grid: tuple[Tensor, Tensor], smooth: bool, perspective: bool
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Normal (3, R, W), depth (R, W) and barycentric weights (3, R, W) from every pixel's row of the table."""
+    """Normal (3, R, W), depth (R, W) and barycentric weights (3, R, W) from the table's row for every pixel."""
     x, y = grid
     planes, width = 3 if perspective else 2, 4 if smooth else 1
-    place, attributes, flat = rows.split((2 + 3 * planes, 3 * width, 3), 1)
+    position, attributes, flat = rows.split((2 + 3 * planes, 3 * width, 3), 1)
     shape = (-1, y.shape[0], x.shape[0])
-    near, along, down, value = _turn(place).view(shape).split((2, planes, planes, planes))
-    first, second, third = _turn(attributes).view(shape).split(width)
+    near, along, down, value = _transpose(position).view(shape).split((2, planes, planes, planes))
+    first, second, third = _transpose(attributes).view(shape).split(width)
     seen = hit.view(y.shape[0], x.shape[0]).to(rows.dtype)
     weight = torch.addcmul(torch.addcmul(value, along, x - near[0]), down, y - near[1])
     if perspective:
@@ -179,37 +207,38 @@ def _values(
     weight = weight / (weight[0] + weight[1]).clamp_min(1)
     values = torch.addcmul(torch.addcmul(first, weight[0], second), weight[1], third)
     barycentric = torch.stack((seen - weight[0] - weight[1], weight[0], weight[1]))
-    depth = values[0] / seen  # infinite where nothing is seen
+    depth = values[0] / seen  # infinite where no face is seen
     if not smooth:
-        return _turn(flat).view(shape), depth, barycentric
+        return _transpose(flat).view(shape), depth, barycentric
     length = _square(values[1:])
     lost = length < CANCELLED**2
     normal = values[1:] * (length.clamp_min(CANCELLED**2).rsqrt() * seen)
     if exporting() or bool(lost.any()):
-        normal = torch.where(lost, _turn(flat).view(shape), normal)
+        normal = torch.where(lost, _transpose(flat).view(shape), normal)
     return normal, depth, barycentric
 
 
-def _turn(rows: Tensor) -> Tensor:
-    """(N, K) as planes (K, N), for small K: a product with 1, which is faster than a copy."""
+def _transpose(rows: Tensor) -> Tensor:
+    """Bring (N, K) with small K to contiguous (K, N) by a product with the identity, which is faster than a copy."""
     if exporting():
         return rows.T
     return torch.mm(torch.eye(rows.shape[1], dtype=rows.dtype, device=rows.device), rows.T)
 
 
 def _square(a: Tensor) -> Tensor:
+    """Squared length of planes (3, ...)."""
     return a[0] * a[0] + a[1] * a[1] + a[2] * a[2]
 
 
 class _Tiles(torch.autograd.Function):
-    """`_values` in tiles of rows that fit in cache; keeps nothing but its inputs."""
+    """`_values` in tiles of rows that fit in cache; saves its inputs only for the backward pass."""
 
     @staticmethod
     def forward(
         ctx: Any, table: Tensor, index: Tensor, size: tuple[int, int], smooth: bool, perspective: bool
     ) -> tuple[Tensor, ...]:
         ctx.save_for_backward(table, index)
-        ctx.choice = (size, smooth, perspective)
+        ctx.options = (size, smooth, perspective)
         rows = index.shape[0] // size[1]
         normal, depth, barycentric = (table.new_empty(k, rows, size[1]) for k in (3, 1, 3))
         space = table.new_empty(min(max(TILE, size[1]), index.shape[0]), table.shape[1])
@@ -223,9 +252,9 @@ class _Tiles(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, *arriving: Tensor) -> tuple[Tensor | None, ...]:
         table, index = ctx.saved_tensors
-        size, smooth, perspective = ctx.choice
+        size, smooth, perspective = ctx.options
         rows = index.shape[0] // size[1]
-        if torch.is_grad_enabled():  # second derivatives: in one piece, by plain operations
+        if torch.is_grad_enabled():  # second derivatives: plain operations, in one piece
             hit, grid = index < len(table) - 1, _grid(slice(0, rows), size, table)
             values = _values(table.index_select(0, index), hit, grid, smooth, perspective)
             (whole,) = torch.autograd.grad(values, table, arriving, create_graph=True)
@@ -242,5 +271,6 @@ class _Tiles(torch.autograd.Function):
 
 
 def _tiles(rows: int, width: int) -> list[slice]:
+    """Whole rows of about `TILE` pixels together."""
     step = max(1, TILE // width)
     return [slice(r, min(r + step, rows)) for r in range(0, rows, step)]

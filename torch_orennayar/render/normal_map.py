@@ -12,26 +12,27 @@ from ..core.checks import check_floating
 from ..core.errors import RangeError, ShapeError
 from ..geometry.camera import Camera
 from ..geometry.mesh import check_mesh, sum_normals, unit_or_zero
-from .interpolate import Surface, interpolate
+from .interpolate import VertexAttributes, interpolate
 from .raster import Projected, visible_faces
 from .spans import FACE_BITS
 
 MAX_FACES = (1 << FACE_BITS) - 1
+"""Largest number of faces: what the low bits of a depth key can number."""
 MAX_SIDE = 1 << 14
-"""Longest side of a picture: beyond it depth keys and guard band run out of room."""
+"""Longest side of an image, pixels: larger ones exceed the ranges of depth keys and guard band."""
 
 
 @dataclass(frozen=True)
 class NormalMap:
-    """What the rasteriser saw, camera frame (x right, y up, z toward the viewer).
+    """A rendered view, in the camera frame (x right, y up, z toward the viewer).
 
     Attributes:
-        normal: (B, 3, H, W) unit, 0 outside the mask; differentiable.
-        mask: (B, 1, H, W) bool.
-        depth: (B, 1, H, W) distance along the viewing axis, infinite outside the mask; differentiable.
+        normal: (B, 3, H, W) unit normals, 0 outside the mask; differentiable.
+        mask: (B, 1, H, W) bool, the pixels that see a face.
+        depth: (B, 1, H, W) distance along the optical axis, world units, infinite outside the mask; differentiable.
         face: (B, 1, H, W) int64 index of the visible face, -1 outside the mask.
-        barycentric: (B, 3, H, W) perspective-correct weights of its corners, 0 outside; differentiable.
-        camera: the camera that saw it.
+        barycentric: (B, 3, H, W) perspective-correct weights of its corners, 0 outside the mask; differentiable.
+        camera: the camera of the view.
     """
 
     normal: Tensor
@@ -50,14 +51,14 @@ class NormalMap:
         roughness: Tensor | float | None = None,
         irradiance: Tensor | float | None = None,
     ) -> Tensor:
-        """Shaded pictures of this view: the layer with the camera's own view directions.
+        """Shade this view with the view directions of its camera.
 
         Args:
-            layer: an `OrenNayar`, or a module that is called alike.
-            light: (B, 3), (B, K, 3) or maps, camera frame, as the layer takes them.
-            albedo: as the layer takes it.
-            roughness: radians, as the layer takes it.
-            irradiance: as the layer takes it.
+            layer: an `OrenNayar`, or a module with the same arguments.
+            light: (B, 3), (B, K, 3) or maps, unit directions in the camera frame, as in `OrenNayar`.
+            albedo: as in `OrenNayar`.
+            roughness: radians, as in `OrenNayar`.
+            irradiance: as in `OrenNayar`.
 
         Returns:
             (B, C, H, W), or (B, K, C, H, W) for K lights; differentiable.
@@ -88,26 +89,26 @@ def render_normals(
 ) -> NormalMap:
     """Rasterise a triangle mesh: normals, mask, depth, face ids and barycentric coordinates.
 
-    Both sides of a face are drawn unless one is left out; the normals of a face seen from behind are turned to the
-    viewer, except given vertex normals, which are taken as they are.
-    A pixel belongs to a face if its centre does, corners rounded to 1/256 pixel; a centre on a shared edge belongs to
-    exactly one of the two faces. Faces that cross the near plane of a perspective camera are cut there. Where faces are
-    equally deep, to about 1e-10 of the depths of the mesh, the lower index is seen; faces that intersect or touch more
-    closely than that are told apart by rounding alone, the same way in every run.
+    Both sides of a face are drawn unless ``cull`` excludes one; the normals of a face seen from behind are turned
+    toward the viewer, except given vertex normals, which are taken as they are.
+    A pixel belongs to a face if its centre does, with corners rounded to 1/256 pixel; a centre on a shared edge belongs
+    to exactly one of the two faces. Faces that cross the near plane of a perspective camera are clipped there. Where
+    faces have equal depths, to about 1e-10 of the range of depths of the mesh, the lower index is visible; faces that
+    intersect, or are closer than that, are ordered by rounding, identically in every run.
 
-    Gradients reach vertices, vertex normals and camera through normals, depth and barycentrics of the
-    interior; which face a pixel shows, and so the mask, has none: `antialias` adds those of silhouettes. Second
-    derivatives are there; transforms of ``torch.func`` (`vmap`, `jvp`) are not: batches are what replaces `vmap`.
+    Gradients reach vertices, vertex normals and camera through the interpolated normals, depth and barycentric
+    coordinates. The visible face, and so the mask, has none: `antialias` adds the gradients of silhouettes. Second
+    derivatives are supported; transforms of ``torch.func`` are not: use batches instead of ``vmap``.
 
     Args:
-        vertices: (V, 3) or (B, V, 3), world frame.
-        faces: (F, 3) int64, corners counter-clockwise where seen from the front.
-        camera: one camera or B of them.
+        vertices: (V, 3) or (B, V, 3), world frame; differentiable.
+        faces: (F, 3) int64, corners counter-clockwise as seen from the front.
+        camera: one camera or B of them; differentiable.
         size: (H, W) in pixels, up to 16,384 each.
-        smooth: interpolate vertex normals; else every face is flat.
-        vertex_normals: (V, 3), or (B, V, 3) for every mesh or camera, world frame, used where ``smooth``; default:
-            `vertex_normals` of the mesh, weighted by Max 1999, exact on a sphere.
-        cull: ``"back"`` leaves out faces seen from behind, ``"front"`` those seen from the front. A closed mesh looks
+        smooth: whether to interpolate vertex normals; otherwise every face is flat.
+        vertex_normals: (V, 3), or (B, V, 3) for every mesh or camera, world frame, used if ``smooth``; differentiable.
+            Default: `vertex_normals` of the mesh, weighted by Max 1999, exact on a sphere.
+        cull: ``"back"`` excludes faces seen from behind, ``"front"`` those seen from the front. A closed mesh looks
             the same without its back faces and is drawn faster.
 
     Returns:
@@ -115,7 +116,7 @@ def render_normals(
 
     Raises:
         ShapeError: shapes other than these, batches that do not fit, or a size out of range.
-        RangeError: a face names a vertex that does not exist, a vertex is not finite, or another ``cull``.
+        RangeError: a face refers to a vertex that does not exist, a vertex is not finite, or an unknown ``cull``.
 
     Source:
         Olano & Greer 1997 (homogeneous edge functions); Max 1999, "Weights for computing vertex normals
@@ -143,7 +144,7 @@ def rasterise(
     vertex_normals: Tensor | None = None,
     cull: str | None = None,
 ) -> NormalMap:
-    """`render_normals` of vertices (B, V, 3), nothing checked; what is traced into a graph."""
+    """`render_normals` of vertices (B, V, 3) without checks, as it is traced into a graph."""
     height, width = size
     batch = max(world.shape[0], len(camera.eye))
     corners = camera.to_camera_frame(world.double()).expand(batch, -1, -1)
@@ -156,7 +157,7 @@ def rasterise(
     if smooth:
         normals = _unit_normals(world, faces, vertex_normals, camera).expand(batch, -1, -1)
     maps = interpolate(
-        Surface(corners, image, normals, vertex_normals is not None),
+        VertexAttributes(corners, image, normals, vertex_normals is not None),
         faces,
         face,
         size,
@@ -175,7 +176,7 @@ def rasterise(
 
 
 def _unit_normals(world: Tensor, faces: Tensor, given: Tensor | None, camera: Camera) -> Tensor:
-    """Vertex normals (B, V, 3) in the camera frame, float64; zero stays zero."""
+    """Vertex normals (B, V, 3) in the camera frame, float64; zero normals remain zero."""
     if given is None:
         normals = sum_normals(world.double(), faces)
     else:
@@ -183,15 +184,16 @@ def _unit_normals(world: Tensor, faces: Tensor, given: Tensor | None, camera: Ca
     return normals @ camera.rotation.to(normals).transpose(1, 2)
 
 
-def check_size(size: tuple[int, int]) -> None:
-    """Two whole numbers within what the exact arithmetic holds."""
-    pair = isinstance(size, Sequence) and len(size) == 2 and all(isinstance(n, int) for n in size)
-    if not pair or min(size) < 1 or max(size) > MAX_SIDE:
+def check_size(size: object) -> None:
+    """Check for (H, W), two whole numbers in the range of the exact arithmetic."""
+    if not (
+        isinstance(size, Sequence) and len(size) == 2 and all(isinstance(n, int) and 1 <= n <= MAX_SIDE for n in size)
+    ):
         raise ShapeError("size", expected=f"(H, W), each from 1 to {MAX_SIDE}", got=repr(size), mend="give pixels")
 
 
 def _check(vertices: Tensor, faces: Tensor, camera: Camera, vertex_normals: Tensor | None, cull: str | None) -> Tensor:
-    """Shapes and values; vertices as (B, V, 3)."""
+    """Check shapes and values, and return the vertices as (B, V, 3)."""
     check_floating(vertices=vertices, vertex_normals=vertices if vertex_normals is None else vertex_normals)
     check_mesh(vertices, faces)
     world = vertices if vertices.ndim == 3 else vertices[None]

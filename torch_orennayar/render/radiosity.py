@@ -1,4 +1,4 @@
-"""Light that the parts of a surface which a camera sees send to each other."""
+"""Interreflected light between the visible parts of a surface, by the radiosity method."""
 
 from __future__ import annotations
 
@@ -11,20 +11,21 @@ from torch import Tensor
 from .normal_map import NormalMap
 
 PATCHES = 400
-"""Of the surface, between which light goes to and fro."""
+"""Number of sample points that stand for the surface; set by hand, a compromise of noise and time."""
 BOUNCES = 4
+"""Number of bounces that are summed; set by hand."""
 STEEPEST = 0.1
-"""Least cosine to the view with which a pixel's surface is reckoned."""
+"""Smallest cosine between normal and view used for the surface area of a pixel; set by hand."""
 
 
 class SeenSurface(NamedTuple):
-    """What the P pixels of one view see, in the camera frame.
+    """The surface at the P foreground pixels of one view, in the camera frame.
 
     Attributes:
         points: (P, 3).
         normal: (P, 3), unit.
         view: (P, 3), unit, to the camera.
-        area: (P, 1) of the surface in a pixel.
+        area: (P, 1) area of the surface that a pixel covers, in the unit of the points squared.
     """
 
     points: Tensor
@@ -34,7 +35,7 @@ class SeenSurface(NamedTuple):
 
     @staticmethod
     def of(seen: NormalMap) -> SeenSurface:
-        """The pixels of one view that see something, row by row."""
+        """The foreground pixels of a single view, row by row."""
         inside, camera = seen.mask[0, 0], seen.camera
         height, width = inside.shape
         normal = seen.normal[0][:, inside].T
@@ -46,17 +47,27 @@ class SeenSurface(NamedTuple):
 
 
 def light_between(surface: SeenSurface, albedo: Tensor, irradiance: Tensor, generator: torch.Generator) -> Tensor:
-    """Irradiance (P, C, K) that pixels of albedo (P, C) receive from each other, where (P, K) comes from the lights."""
+    """Interreflected irradiance at every pixel, from randomly chosen sample points.
+
+    Args:
+        surface: the P pixels.
+        albedo: (P, C) in [0, 1].
+        irradiance: (P, K) from each light.
+        generator: chooses the sample points.
+
+    Returns:
+        (P, C, K) irradiance from the rest of the surface.
+    """
     order = torch.randperm(len(albedo), generator=generator, device=albedo.device)
     parts = surface.points, surface.normal, surface.area, albedo, irradiance
     return bounced_light(*(part[order] for part in parts))[order.argsort()]
 
 
 def bounced_light(points: Tensor, normal: Tensor, area: Tensor, albedo: Tensor, irradiance: Tensor) -> Tensor:
-    """Irradiance that arrives from the rest of a Lambertian surface; what stands between two points is not asked.
+    """Irradiance from the rest of a Lambertian surface, without occlusion between two points.
 
     Args:
-        points: (P, 3), in random order: the first `PATCHES` stand for all.
+        points: (P, 3), in random order: the first `PATCHES` are the sample points.
         normal: (P, 3), unit.
         area: (P, 1) of the surface at each point, in the unit of the points, squared.
         albedo: (P, C) in [0, 1].
@@ -76,12 +87,22 @@ def bounced_light(points: Tensor, normal: Tensor, area: Tensor, albedo: Tensor, 
 
 
 def arriving(factors: Tensor, sent: Tensor) -> Tensor:
-    """(P, Q) times (Q, C, K)."""
+    """Irradiance (P, C, K) at P points: form factors (P, Q) times the radiosity (Q, C, K) of Q patches."""
     return (factors @ sent.flatten(1)).reshape(-1, *sent.shape[1:])
 
 
 def form_factors(points: Tensor, normal: Tensor, others: Tensor, facing: Tensor, area: Tensor) -> Tensor:
-    """Share (P, Q) of what each patch sends that arrives, as from discs: finite at any distance."""
+    """Form factors (P, Q) from Q patches to P points.
+
+    ``cos cos' area / (pi distance^2 + area)``, the formula of a disc on its axis, is finite at any distance.
+
+    Args:
+        points: (P, 3).
+        normal: (P, 3), unit.
+        others: (Q, 3) centres of the patches.
+        facing: (Q, 3) their unit normals.
+        area: (Q, 1).
+    """
     square = torch.cdist(points, others, compute_mode="donot_use_mm_for_euclid_dist").square()
     here = normal @ others.T - (normal * points).sum(1, keepdim=True)
     there = points @ facing.T - (facing * others).sum(1)

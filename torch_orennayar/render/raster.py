@@ -1,11 +1,12 @@
-"""Which face every pixel sees: watertight by exact fixed-point arithmetic.
+"""The visible face of every pixel: watertight rasterisation in exact fixed-point arithmetic.
 
-Corners are rounded to 1/256 pixel. On every row of pixel centres an edge then has one whole number, the first column
-whose centre is not left of it, which comes out the same from both of its sides; a face covers the columns between the
-numbers of its edges. So neighbours leave no gap and share no pixel, and no fill rule is needed: centres on a left or
-top edge are inside, on a right or bottom edge outside.
+Corners are rounded to 1/256 pixel. In every row of pixel centres an edge then has one whole number, the first column
+whose centre is not left of it, which is the same for both of its faces; a face covers the columns between the numbers
+of its edges. So adjacent faces leave no gap and share no pixel: centres on a left or top edge are inside, on a right or
+bottom edge outside.
 
-Every covered pixel makes a key, depth before face index, and the smallest key wins.
+Every covered pixel of a face has a key, with the depth in the high bits and the face index in the low bits; the
+smallest key is visible.
 """
 
 from __future__ import annotations
@@ -20,19 +21,20 @@ from .clipping import GUARD, clip
 from .spans import DEPTH_BITS, FACE_BITS, GRID, ROWS, cover, enter, exporting, least, most, repeat, split
 
 MARGIN = 1 << 14
-"""Room for rounding at both ends of the range of depths."""
+"""Depth keys reserved at both ends of their range, for interpolated depths that rounding moves beyond the corners."""
 EMPTY = (1 << 63) - 1
-"""The key of a pixel that sees nothing."""
+"""The key of a pixel without a face: the largest int64."""
 EXACT_32 = float(1 << 23)
-"""Faces whose bounding box has no more steps squared than this are exact in float32; others take float64."""
+"""Area in steps squared up to which a face's bounding box is exact in float32, whose whole numbers end at 2^24; larger
+faces take float64."""
 CHUNK = 1 << 15
-"""Faces at once."""
+"""Faces per step, which bounds the memory for temporaries: set by hand."""
 BLOCK = 8
-"""Height and width of the tiles in which faces are looked for that others hide."""
+"""Height and width in pixels of the tiles in which hidden faces are detected: set by hand."""
 
 
 class Projected(NamedTuple):
-    """Vertices of all views: homogeneous pixel coordinates and depth, (B, V) float64 each."""
+    """Vertices of all views, (B, V) float64 each: homogeneous pixel coordinates x w, y w, w, and depth."""
 
     x: Tensor
     y: Tensor
@@ -41,7 +43,7 @@ class Projected(NamedTuple):
 
 
 class _Corners(NamedTuple):
-    """Snapped corners of a list of points: x and y in steps, NaN where a face must be cut first; depth as a key."""
+    """Points rounded to the grid: x and y in steps, NaN where faces must be clipped first; z the depth as a key."""
 
     x: Tensor
     y: Tensor
@@ -57,17 +59,17 @@ def visible_faces(
         points: projected vertices.
         faces: (F, 3) int64.
         size: (H, W).
-        near: smallest depth that is seen, or None: orthographic.
+        near: depth of the near plane, or None for orthographic views.
         cull: ``"back"`` or ``"front"`` faces to leave out, or None.
 
     Returns:
-        (B, H * W) int64; F where nothing is seen.
+        (B, H * W) int64; F where a pixel sees no face.
     """
     views, count = points.x.shape
     height, width = size
     best = torch.full((views * height * width,), EMPTY, device=faces.device)
     if exporting() or faces.shape[0]:
-        if exporting():  # not a constant, or the file would hold it
+        if exporting():  # as a constant it would be stored in the file
             best = (faces[0, 0] * 0 + EMPTY).expand(best.shape[0]).clone()
         scale = _depth_scale(points, faces, near)
         snapped = _snap(points, near, scale)
@@ -82,7 +84,7 @@ def visible_faces(
 
 
 def _chunks(faces: Tensor, views: int, vertices: int) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
-    """Corners (3, T) among the vertices of all views, face and view of up to CHUNK faces at a time."""
+    """Up to `CHUNK` faces at a time: corners (3, T) among the vertices of all views, face index and view."""
     planes, every = faces.T.contiguous(), torch.arange(faces.shape[0], device=faces.device)
     if exporting():
         yield planes, every, torch.zeros_like(every)
@@ -96,7 +98,7 @@ def _chunks(faces: Tensor, views: int, vertices: int) -> Iterator[tuple[Tensor, 
 
 
 def _depth_scale(points: Projected, faces: Tensor, near: float | None) -> tuple[Tensor, Tensor]:
-    """Offset and factor, per view (B, 1), that spread the depths of the faces over the bits of a key."""
+    """Offset and factor per view, (B, 1), that map the depths of the faces to the range of depth keys."""
     order = _order(points.depth, near).index_select(1, faces.reshape(-1))
     low, high = order.amin(1, keepdim=True), order.amax(1, keepdim=True)
     steps = float((1 << DEPTH_BITS) - 2 * MARGIN)
@@ -105,12 +107,12 @@ def _depth_scale(points: Projected, faces: Tensor, near: float | None) -> tuple[
 
 
 def _order(depth: Tensor, near: float | None) -> Tensor:
-    """What is linear on a face in the image and grows with depth."""
+    """A quantity that is linear on a face in the image and increases with depth: depth itself, or -1 / depth."""
     return depth if near is None else torch.full_like(depth, -1.0) / depth.clamp_min(near)
 
 
 def _snap(points: Projected, near: float | None, scale: tuple[Tensor, Tensor]) -> _Corners:
-    """Vertices of all views, flattened."""
+    """Round the vertices of all views, flattened, to the grid."""
     w = points.w if near is None else torch.where(points.depth >= near, points.w, torch.nan)
     x, y = points.x / w, points.y / w
     fits = (x.abs() <= GUARD) & (y.abs() <= GUARD)
@@ -132,7 +134,7 @@ def _draw_cut(
     scale: tuple[Tensor, Tensor],
     cull: str | None,
 ) -> None:
-    """Cut and draw those faces of a chunk that have a corner behind the near plane or far outside the image."""
+    """Clip and draw the faces of a chunk that have a corner behind the near plane or outside the guard band."""
     corner, face, view = chunk
     owner = snapped.x[corner].isnan().any(0).nonzero().reshape(-1)
     index = corner.index_select(1, owner).T  # (N, 3)
@@ -146,7 +148,7 @@ def _draw_cut(
     )
     corner_of_piece = torch.arange(pieces.x.shape[0], device=best.device).reshape(-1, 3).T
     face_of_piece, view_of_piece = face[owner], view[owner]
-    if exporting():  # the whole ones before them: one list makes a graph half as large
+    if exporting():  # together with the faces that need no clipping: one list makes a graph half as large
         pieces = _Corners(*(torch.cat(pair) for pair in zip(snapped, pieces, strict=True)))
         corner_of_piece = torch.cat((corner, corner_of_piece + snapped.x.shape[0]), 1)
         face_of_piece, view_of_piece = torch.cat((face, face_of_piece)), torch.cat((view, view_of_piece))
@@ -154,7 +156,7 @@ def _draw_cut(
 
 
 class _Faces(NamedTuple):
-    """A list of faces: ``corner`` (3, T) among points, index of each in the mesh and in the batch of views."""
+    """A list of faces: corners (3, T) among the points, and of each face its index in the mesh and its view."""
 
     points: _Corners
     corner: Tensor
@@ -163,7 +165,7 @@ class _Faces(NamedTuple):
 
 
 class _Boxes(NamedTuple):
-    """Rows ``first`` to ``last`` and columns ``left`` to ``right`` of the image that faces can touch, the last not."""
+    """Bounding boxes in the image: rows ``first`` to ``last`` and columns ``left`` to ``right``, ends excluded."""
 
     first: Tensor
     last: Tensor
@@ -172,7 +174,7 @@ class _Boxes(NamedTuple):
 
 
 def _draw(best: Tensor, faces: _Faces, size: tuple[int, int], cull: str | None) -> None:
-    """Enter faces into the keys of the pictures."""
+    """Enter faces into the keys ``best`` of all views."""
     x, y = (t.index_select(0, faces.corner.reshape(-1)).view(3, -1) for t in (faces.points.x, faces.points.y))
     x_low, x_high, y_low, y_high = least(x), most(x), least(y), most(y)
     first, last, left, right = ((t + 127).mul_(1 / GRID).floor_() for t in (y_low, y_high, x_low, x_high))
@@ -183,7 +185,7 @@ def _draw(best: Tensor, faces: _Faces, size: tuple[int, int], cull: str | None) 
         return
     exact = x_high.sub_(x_low).add_(GRID).mul_(y_high.sub_(y_low).add_(GRID)) <= EXACT_32
     exact = exact.logical_and_(last - first <= ROWS)
-    # To the last bit where faces are small; the sign of large ones is found exactly later, and only sorts them here.
+    # Exact for small faces. The sign for large ones is found exactly in `cover`; here it only sorts them.
     area = (x[1] - x[0]).mul_(y[2] - y[0]).sub_((y[1] - y[0]).mul_(x[2] - x[0]))
     front = area < 0
     if cull == "back":
@@ -203,9 +205,9 @@ def _draw(best: Tensor, faces: _Faces, size: tuple[int, int], cull: str | None) 
 
 
 def _hidden(best: Tensor, faces: _Faces, boxes: _Boxes, chosen: Tensor, size: tuple[int, int]) -> Tensor:
-    """Which of the faces ``chosen`` lie behind everything drawn so far around their boxes: they can be left out.
+    """Which of the faces ``chosen`` lie behind everything drawn so far around their boxes, and can be skipped.
 
-    Compares the nearest corner with the farthest pixel of four tiles, so only faces that fit into those can be found.
+    Compares the nearest corner with the farthest pixel of 2 x 2 tiles, so only faces that fit into these are detected.
     """
     low, high = (int(t) for t in torch.aminmax(faces.view)) if len(chosen) else (0, 0)
     rows, columns = -(-size[0] // BLOCK), -(-size[1] // BLOCK)
@@ -233,9 +235,9 @@ def _fill(
     dtype: torch.dtype,
     cull: str | None,
 ) -> None:
-    """Enter the faces ``index``; ``places`` are the corners' x and y (3, T), ``dtype`` is what holds their products."""
+    """Enter the faces ``index``; ``places`` are the corners' x and y, (3, T), whose products ``dtype`` must hold."""
     row, end = boxes.first.index_select(0, index), boxes.last.index_select(0, index)
-    if dtype is torch.float64:  # may be tall
+    if dtype is torch.float64:  # only these may have more than ROWS rows
         pieces = ((end - row + (ROWS - 1)) / ROWS).floor().long()
         before = pieces.cumsum(0) - pieces
         which = repeat(pieces, before)

@@ -1,4 +1,4 @@
-"""Cast shadows of a mesh under distant lights, from depth pictures taken by the lights."""
+"""Cast shadows of a mesh under distant lights, by shadow maps."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ from .normal_map import NormalMap, check_size, render_normals
 
 @torch.no_grad()
 def cast_shadows(vertices: Tensor, faces: Tensor, seen: NormalMap, lights: Tensor, *, resolution: int = 1024) -> Tensor:
-    """How much of each light reaches each pixel past other parts of the mesh.
+    """The share of each light that reaches each pixel past other parts of the mesh.
 
-    Every light takes a depth picture of the mesh; a point is in shadow where that picture shows something clearly
-    nearer to the light. Edges are as soft as a texel of that picture. Surfaces that face away from a light are
-    shading's affair and count as reached. Not differentiable.
+    A depth map is rendered from every light; a point is in shadow where that map is clearly nearer to the light. The
+    edges of shadows are one texel of the map wide. Surfaces that face away from a light are not treated as shadow,
+    since shading already makes them dark. Not differentiable.
 
     Args:
         vertices: (V, 3), world frame.
         faces: (F, 3) int64.
-        seen: one view of that mesh by `render_normals`.
+        seen: a single view of that mesh by `render_normals`.
         lights: (K, 3) unit directions to distant lights, camera frame.
-        resolution: side of the depth pictures in pixels.
+        resolution: height and width of the shadow maps in pixels.
 
     Returns:
-        (K, 1, H, W) in [0, 1]: 1 reached, 0 in shadow; 1 outside the mask.
+        (K, 1, H, W) in [0, 1]: 1 for lit, 0 for in shadow; 1 outside the mask.
 
     Raises:
         ShapeError: more than one view, or shapes other than these.
-        RangeError: lights that are no unit vectors.
+        RangeError: lights that are not unit vectors.
 
     Source:
         Williams 1978 (shadow maps); Reeves, Salesin & Cook 1987 (averaging the comparisons).
@@ -79,13 +79,25 @@ def _reached(
     radius: float,
     resolution: int,
 ) -> Tensor:
-    """What reaches P points from one light, (P,)."""
+    """The share of one light that reaches P points, (P,) in [0, 1].
+
+    Args:
+        body: (V, 3) vertices in the camera frame.
+        faces: (F, 3).
+        points: (P, 3) in the camera frame.
+        normal: (P, 3), unit.
+        light: (3,) unit direction.
+        middle: (3,) centre of a sphere around the mesh.
+        radius: its radius.
+        resolution: height and width of the shadow map.
+    """
     up = (0.0, 1.0, 0.0) if abs(float(light[1])) < 0.9 else (1.0, 0.0, 0.0)
     camera = Camera.orthographic(radius, eye=middle + 2 * radius * light, target=middle, up=up)
     depth = render_normals(body, faces, camera, (resolution, resolution)).depth
     depth = torch.where(depth.isfinite(), depth, 1e9)
     there = camera.to_camera_frame(points)
-    # A texel sees a slope at one depth: its own points may lie deeper by its width times the slope.
+    # A texel stores one depth, although a slope is deeper elsewhere in it: the margin is one texel plus 1.5 times the
+    # slope (set by hand), which is clamped where the surface is nearly parallel to the light.
     cosine = (normal @ light).clamp(0.05, 1)
     slack = 2 * radius / resolution * (1 + 1.5 * (1 - cosine * cosine).sqrt() / cosine)
     nearer = -there[0, :, 2] - slack

@@ -3,35 +3,35 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import torch
 from torch import Tensor
 
-from ..core.checks import check_floating, check_mask, check_range, check_unit
-from ..core.errors import CaptureError, RangeError, ShapeError
+from ..core.checks import check_floating
+from ..core.errors import RangeError
+from ..core.findings import Finding
 from ..core.warn import warn
 from ..geometry.camera import Camera
-from ..reconstruction import Reconstruction, stack
-from ..reflectance.model_choice import ModelChoice, simplest_model
+from ..reconstruction import Reconstruction, confidence_from_error, stack
+from ..reflectance.model_choice import simplest_model
 from ..reflectance.models import get_model
-from . import surface_fit
-from .surface_fit import FitSettings, Scene, Surface
+from .height_field import depth_to_height, height_to_depth, inflate, normals, to_centers, to_corners
+from .objective import MAX_ROUGHNESS, FitParameters, FitSettings, Reflectance, lit_pixels, shade
+from .scene import MIN_SHARE, Picture, PictureScene, Window, build_scene, working_dtype
+from .surface_fit import coarse_to_fine, fit
 
 FRONTAL = math.radians(10)
-"""A light nearer to the view than this shows a dent and a bump alike."""
-ALIKE = 1.25
-"""Two surfaces whose costs differ by less than this factor explain the picture equally well."""
-START_ROUGHNESS, START_AMBIENT = math.radians(25), 0.01
-"""Where the search for an unknown roughness and for unknown ambient light begins."""
-NEAR_ENOUGH = 0.01
-"""Error of shading that the simplest sufficient model may have: about the noise of a picture."""
-EASY = 32
-"""Pixels of which the sides of the solved window are multiples: as often as they are halved, or nearly."""
-NOISE = 0.01
-"""Least error of brightness that the confidence reckons with, share of the picture's bright end."""
+"""Radians; a light nearer to the view than this shows dents and bumps alike. Set by hand."""
+TWIN_COST_RATIO = 1.25
+"""Two surfaces whose costs differ by less than this factor explain the picture equally well. Set by hand."""
+MODEL_TOLERANCE = 0.01
+"""RMS error of shading over albedo that the automatically chosen model may have: about the noise of a picture."""
+MIN_RESIDUAL = 0.01
+"""Share of the picture's peak; least error of brightness that the confidence assumes. Set by hand, about the noise."""
+CORNER_SHARE = 1e-3
+"""Share of a corner's four pixels inside the mask from which the caller's depth sets its height; only excludes 0."""
 
 
 @torch.no_grad()
@@ -53,17 +53,18 @@ def shape_from_shading(
 ) -> Reconstruction:
     """Find the surface whose shading is the picture, under one known light.
 
-    The unknown is depth, so the surface is integrable; its shading comes from the layer itself. The search goes from
-    coarse to fine by L-BFGS. Priors, all of them mild: neighbouring normals are alike (``smoothness``); with
-    ``contour`` the mask's edge is where the surface turns away from the viewer, so normals point outward there;
-    pixels whose brightness no surface explains (cast shadows, highlights) count less. A picture that stays unexplained
-    as a whole (paint, light from the surroundings) is trusted less, and the normals of the inflated silhouette more
-    (``silhouette``). It starts from the inflated silhouette; without a contour from a plane, and then the mean normal
-    is drawn to the view; from ``depth`` it starts at full size.
+    The unknown is depth, so the surface is integrable; the shading layer itself shades it, and L-BFGS minimises the
+    difference from the picture from coarse to fine. The priors are mild: neighbouring normals are similar
+    (``smoothness``); with ``contour`` the mask's edge is an occluding contour, where the surface turns away from the
+    viewer and normals point outward; pixels whose brightness no surface explains (cast shadows, highlights) count less.
+    Where a whole picture stays unexplained (texture, light from the surroundings) the normals of the inflated
+    silhouette, `silhouette_normals`, count more (``silhouette``). The search starts from the inflated silhouette;
+    without a contour from a plane, and then the mean normal is drawn to the view; from ``depth`` it starts at full
+    resolution.
 
-    What one picture does not tell is reported, not hidden: a light near the view shows dents and bumps alike; albedo,
-    roughness and ambient light trade against slope and each other when they are estimated; without a contour or known
-    depths nothing says which way a symmetric surface bulges. Not differentiable.
+    What one picture does not determine is reported: a light near the view shows dents and bumps alike; estimated
+    albedo, roughness and ambient light trade against slope and against each other; without a contour or known depths
+    nothing determines which way a symmetric surface bulges. Not differentiable.
 
     Args:
         image: (C, H, W) or (B, C, H, W) linear light, divided by the light's irradiance.
@@ -72,23 +73,25 @@ def shape_from_shading(
         albedo: number or map (1 or C, H, W), with B in front for batches; None to estimate one number.
         roughness: radians, number or map (1, H, W), with B in front for batches; None to estimate one number.
         ambient: light from all around, as a share of the light's irradiance, 0 to 1: number or map (1, H, W), with B in
-            front for batches; None to estimate one number, up to 0.3. It is shaded as by a matt surface. A photograph
-            with the light off, subtracted, is better than either.
+            front for batches; None to estimate one number, up to 0.3. It is reflected as by a matt surface. Subtracting
+            a photograph taken with the light off is better than either.
         model: a name in ``MODELS``, or ``"auto"``: the simplest that is near enough to the theory for this albedo and
             roughness (`simplest_model`); the report says why.
         contour: whether the mask's edge is an occluding contour.
         camera: None for orthographic views in pixels, or a `Camera`.
-        depth: (1, H, W) or (B, 1, H, W) where to start, finite inside the mask, in the unit of the result.
-        known: the same shape, a few depths that are known, NaN elsewhere. In perspective they set the scale.
-        smoothness: weight of bends of the normals against squared brightness.
-        silhouette: weight of the inflated silhouette's normals in a picture that is not understood at all; 0 trusts the
-            picture alone.
+        depth: (1, H, W) or (B, 1, H, W) depth to start from, finite inside the mask, in the unit of the result.
+        known: of the same shape, depths that are known at some pixels, NaN elsewhere. In perspective they set the
+            scale.
+        smoothness: weight of squared differences of neighbouring normals against squared brightness.
+        silhouette: weight of the inflated silhouette's normals in a picture that the model does not explain at all; 0
+            uses the picture alone.
 
     Returns:
-        A `Reconstruction` with depth: without a camera height toward the viewer in pixels, mean 0; with one distance
-        along its axis, mean 0 (orthographic) or geometric mean 1 (perspective), unless ``known`` says where it lies.
-        ``confidence`` is ``1 / (1 + (e / 2 deg)**2)`` with e the error of the normal toward the light that the
-        residual means; across the light one picture says nothing. 0 in shadow.
+        A `Reconstruction` with depth, or of a batch a `BatchReconstruction`. Depth is without a camera the height
+        toward the viewer in pixels, mean 0; with one the distance along its axis, mean 0 (orthographic) or geometric
+        mean 1 (perspective), unless ``known`` sets it. ``confidence`` is ``1 / (1 + (e / 2 deg)**2)`` with e the error
+        of the normal toward the light that the residual implies; 0 in shadow. About errors across the light one picture
+        says nothing.
 
     Raises:
         ShapeError: shapes do not fit together.
@@ -99,7 +102,7 @@ def shape_from_shading(
 
     Source:
         The problem: Horn 1970; rough surfaces: Ahmed & Farag 2006, "A new formulation for shape from shading for
-        non-Lambertian surfaces". Search at several scales at once: Barron & Malik 2015, "Shape, illumination and
+        non-Lambertian surfaces". Optimisation at several scales at once: Barron & Malik 2015, "Shape, illumination and
         reflectance from shading".
 
     Example:
@@ -117,202 +120,87 @@ def shape_from_shading(
     check_floating(image=image, light=light)
     if model != "auto":
         get_model(model)
+    picture = Picture(image, light, mask, albedo, roughness, ambient, depth, known)
     if image.ndim == 4:
-        return _solve_batch(
-            image,
-            {
-                "light": light,
-                "mask": mask,
-                "albedo": albedo,
-                "roughness": roughness,
-                "ambient": ambient,
-                "depth": depth,
-                "known": known,
-            },
-            {
-                "model": model,
-                "contour": contour,
-                "camera": camera,
-                "smoothness": smoothness,
-                "silhouette": silhouette,
-            },
-        )
-    inside = _check(image, light, mask, {"depth": depth, "known": known})
-    scene = _scene(image, light, inside, albedo, roughness, ambient, known, camera)
-    full, window = (inside.shape[1], inside.shape[2]), _window(inside)
-    scene = scene.cropped(*window)
-    reasons = []
+        each = picture.split()
+        return stack([_solve(one, camera, model, contour, smoothness, silhouette) for one in each])
+    return _solve(picture, camera, model, contour, smoothness, silhouette)
+
+
+def _solve(
+    picture: Picture, camera: Camera | None, model: str, contour: bool, smoothness: float, silhouette: float
+) -> Reconstruction:
+    """`shape_from_shading` of one picture."""
+    inside = picture.check()
+    window = Window.around(inside)
+    mask = window.crop(inside.to(working_dtype(picture.image)))
+    inflated = contour and picture.depth is None
+    height = _start_height(picture.depth, mask, window, camera, contour)
+    scene = build_scene(picture, inside, window, camera, normals(height, None, 1.0) if inflated else None)
+    findings = []
     if model == "auto":
-        model = _simplest(scene, albedo is None, roughness is None)
-        reasons.append(model.reason)
-    wish = FitSettings(str(model), contour, smoothness, silhouette, albedo is None, roughness is None, ambient is None)
-    there = None if depth is None else _to_height(depth.to(scene.image), camera, full)[:, window[0], window[1]]
-    height = _start(scene, there, contour)
-    if contour and depth is None:
-        scene = replace(scene, likely=surface_fit.normals(height, None, 1.0))
-    start = Surface(
-        height,
-        _logit(scene.albedo.mean() / (surface_fit.WHITEST * scene.unit)),
-        _logit(scene.roughness.mean() / surface_fit.ROUGHEST),
-        _logit(scene.ambient.mean() / surface_fit.STRONGEST_AMBIENT),
+        model, finding = _choose_model(scene, picture)
+        findings.append(finding)
+    settings = FitSettings(
+        model,
+        contour,
+        smoothness,
+        silhouette,
+        estimate_albedo=picture.albedo is None,
+        estimate_roughness=picture.roughness is None,
+        estimate_ambient=picture.ambient is None,
     )
-    levels = surface_fit.coarse_to_fine(scene) if depth is None else [scene]
-    report = [*reasons, *_say_light(scene)]
-    if contour and depth is None:
-        start, alike = _choose_side(levels[0], start, wish)
-        levels, report = levels[1:] or levels, [*report, *alike]
-    found, _ = surface_fit.fit(levels, start, wish, show="shape from shading")
-    return _result(scene, found, wish, camera, full, window, report)
+    findings += _check_light(scene)
+    start = FitParameters.starting_at(scene, height)
+    levels = coarse_to_fine(scene) if picture.depth is None else [scene]
+    if inflated:
+        start, ambiguous = _choose_side(levels[0], start, settings)
+        findings += ambiguous
+        levels = levels[1:] or levels
+    found, _ = fit(levels, start, settings, progress="shape from shading")
+    return _result(scene, found, settings, camera, window, findings)
 
 
-def _scene(
-    image: Tensor,
-    light: Tensor,
-    inside: Tensor,
-    albedo: float | Tensor | None,
-    roughness: float | Tensor | None,
-    ambient: float | Tensor | None,
-    known: Tensor | None,
-    camera: Camera | None,
-) -> Scene:
-    """Everything in the working precision; what is outside the mask becomes 0."""
-    size = (image.shape[1], image.shape[2])
-    values = torch.where(inside, image, 0)
-    values = values if values.dtype == torch.float64 else values.float()
-    unit = float(values[:, inside[0]].flatten().quantile(0.99)) if inside.sum() < 2**23 else float(values.max())
-    if unit <= 0:
-        raise CaptureError("image", expected="light inside the mask", got="none", mend="check exposure and mask")
+def _start_height(depth: Tensor | None, mask: Tensor, window: Window, camera: Camera | None, contour: bool) -> Tensor:
+    """Corner heights to start from: of the caller's depth, else of the inflated silhouette, else of a plane."""
+    if depth is None:
+        return inflate(mask) if contour else torch.zeros_like(to_corners(mask))
+    height = window.crop(depth_to_height(depth.to(mask), camera, window.size))
+    share = to_corners(mask).clamp_min(MIN_SHARE)
+    return torch.where(share > CORNER_SHARE, to_corners(torch.where(mask > 0, height, 0)) / share, 0)
 
-    def chart(name: str, value: float | Tensor | None, instead: float, most: float, mend: str) -> Tensor:
-        tensor = torch.as_tensor(instead if value is None else value).to(values)
-        tensor = tensor.reshape(1, 1, 1) if tensor.ndim == 0 else tensor
-        channels = (1, len(image)) if name == "albedo" else (1,)
-        if tensor.ndim != 3 or tensor.shape[0] not in channels or tuple(tensor.shape[1:]) not in ((1, 1), size):
-            expected, got = f"a number or {(channels[-1], *size)}", str(tuple(tensor.shape))
-            raise ShapeError(name, expected=expected, got=got, mend="one number for all, or one per pixel")
-        tensor = tensor if tensor.shape[1:] == (1, 1) else torch.where(inside, tensor, 0)
-        check_range(name, tensor, 0.0, most, mend)
-        return tensor
 
-    view = values.new_tensor((0.0, 0.0, 1.0)).reshape(3, 1, 1)
-    rays, pixel = None, 1.0
-    if camera is not None and camera.is_perspective:
-        view = camera.view_directions(size)[0].to(values)
-        rays, pixel = _corner_rays(camera, size).to(values), 2 / (size[0] * float(camera.focal[0, 1]))
-    told = chart("ambient", ambient, START_AMBIENT, 1.0, "it is a share of the light: 0.1 for a tenth")
-    paint = chart("albedo", albedo, unit, math.inf, "albedo is never negative")
-    if albedo is not None and ambient is not None and not bool((values > paint * told)[:, inside[0]].any()):
-        raise RangeError("ambient", expected="less light than in the picture", got="more", mend="0.1 is a tenth")
-    heights = torch.full_like(values[:1], torch.nan) if known is None else _to_height(known.to(values), camera, size)
-    return Scene(
-        image=values,
-        unit=unit,
-        mask=inside.to(values),
-        light=light.to(values).reshape(3, 1, 1) if light.ndim == 1 else torch.where(inside, light.to(values), 0),
-        view=view,
-        rays=rays,
-        albedo=paint,
-        roughness=chart("roughness", roughness, START_ROUGHNESS, math.pi / 2, "roughness is in radians"),
-        ambient=told,
-        known=torch.where(inside, heights, torch.nan),
-        pixel=pixel,
-        likely=None,
-        noise=_noise(values / unit, inside),
+def _choose_model(scene: PictureScene, picture: Picture) -> tuple[str, Finding]:
+    """The simplest model near enough to the theory for the scene's albedo and roughness, and why."""
+
+    def inside(values: Tensor) -> Tensor:
+        return values if values.shape[1:] == (1, 1) else values[(scene.mask > 0).expand_as(values)]
+
+    chosen = simplest_model(
+        albedo=(0.0, 1.0) if picture.albedo is None else inside(scene.albedo).clamp_max(1.0),
+        roughness=(0.0, MAX_ROUGHNESS) if picture.roughness is None else inside(scene.roughness),
+        tolerance=MODEL_TOLERANCE,
     )
+    return chosen.name, Finding(chosen.reason, "model-chosen")
 
 
-def _simplest(scene: Scene, any_albedo: bool, any_roughness: bool) -> ModelChoice:
-    """The simplest model near enough to the theory for what the scene holds."""
-    rho, sigma = (
-        t[(scene.mask > 0).expand_as(t)] if t.shape[1:] != (1, 1) else t for t in (scene.albedo, scene.roughness)
-    )
-    return simplest_model(
-        albedo=(0.0, 1.0) if any_albedo else rho.clamp_max(1.0),
-        roughness=(0.0, surface_fit.ROUGHEST) if any_roughness else sigma,
-        tolerance=NEAR_ENOUGH,
-    )
-
-
-def _noise(image: Tensor, inside: Tensor) -> float:
-    """Variance of an image's noise, from second differences both ways, which smooth shading has none of.
-
-    Source: Immerkaer, Fast noise variance estimation, 1996, with a median for its mean.
-    """
-    kernel = image.new_tensor([[1.0, -2, 1], [-2, 4, -2], [1, -2, 1]]).reshape(1, 1, 3, 3) / 6
-    rough = torch.nn.functional.conv2d(image[:, None], kernel, padding=1)[:, 0].abs()
-    within = -torch.nn.functional.max_pool2d(-torch.nn.functional.pad(inside.to(image), (1, 1, 1, 1)), 3, 1) > 0
-    if not bool(within.any()):
-        return 0.0
-    return float((rough[:, within[0]].median() / 0.6745) ** 2)
-
-
-def _logit(share: Tensor) -> Tensor:
-    return share.clamp(0.01, 0.99).logit().reshape(1, 1, 1)
-
-
-def _corner_rays(camera: Camera, size: tuple[int, int]) -> Tensor:
-    """Lines of sight through the corners of pixels, (3, H + 1, W + 1); they are linear in row and column."""
-    few = camera.rays(size)[0] if min(size) > 1 else camera.rays((size[0] + 1, size[1] + 1))[0]
-    right, down = few[:, :1, 1:2] - few[:, :1, :1], few[:, 1:2, :1] - few[:, :1, :1]
-    rows, columns = (torch.arange(n + 1).to(few) - 0.5 for n in size)
-    return few[:, :1, :1] + right * columns.reshape(1, 1, -1) + down * rows.reshape(1, -1, 1)
-
-
-def _to_height(depth: Tensor, camera: Camera | None, size: tuple[int, int]) -> Tensor:
-    """Depth as heights toward the viewer in pixels."""
-    if camera is None:
-        return depth
-    pixel = 2 / (size[0] * float(camera.focal[0, 1]))
-    return -(depth.log() if camera.is_perspective else depth) / pixel
-
-
-def _to_depth(height: Tensor, camera: Camera | None, size: tuple[int, int]) -> Tensor:
-    """The way back."""
-    if camera is None:
-        return height
-    distance = -height * (2 / (size[0] * float(camera.focal[0, 1])))
-    return distance.exp() if camera.is_perspective else distance
-
-
-def _window(inside: Tensor) -> tuple[slice, slice]:
-    """Rows and columns that the mask reaches: nothing else costs time.
-
-    Where the picture has room, at least half as wide as long, and easy to halve.
-    """
-    reached = [inside[0].any(axis).nonzero().flatten()[[0, -1]].tolist() for axis in (1, 0)]
-    least = max(last - first + 1 for first, last in reached) // 2
-    window = []
-    for (first, last), size in zip(reached, inside.shape[1:], strict=True):
-        length = min(size, -(-max(last - first + 1, least) // EASY) * EASY)
-        start = min(max(0, (first + last + 1 - length) // 2), size - length)
-        window.append(slice(start, start + length))
-    return window[0], window[1]
-
-
-def _start(scene: Scene, height: Tensor | None, contour: bool) -> Tensor:
-    """Heights of corners to begin with, from those of pixels where they are told."""
-    if height is None:
-        return surface_fit.inflate(scene.mask) if contour else torch.zeros_like(surface_fit.corners(scene.mask))
-    height = torch.where(scene.mask > 0, height, 0)
-    share = surface_fit.corners(scene.mask).clamp_min(1e-6)
-    return torch.where(share > 1e-3, surface_fit.corners(height) / share, 0)
-
-
-def _choose_side(coarsest: Scene, start: Surface, wish: FitSettings) -> tuple[Surface, list[str]]:
-    """The surface at the smallest size, from the start or its inside-out twin, and what to say of the other."""
-    found, cost = surface_fit.fit([coarsest], start, wish)
+def _choose_side(
+    coarsest: PictureScene, start: FitParameters, settings: FitSettings
+) -> tuple[FitParameters, list[Finding]]:
+    """The fit at the coarsest level from the start or from its inside-out twin, and a finding where both fit."""
+    found, cost = fit([coarsest], start, settings)
     twin = replace(start, height=-start.height)
-    turned, other = surface_fit.fit([coarsest], twin, wish, most=cost * ALIKE)
-    alike = [
-        "the same surface inside out, dents for bumps, explains the picture about as well: depth= or known= decides."
-    ]
-    if other < cost / ALIKE:
+    turned, twin_cost = fit([coarsest], twin, settings, max_cost=cost * TWIN_COST_RATIO)
+    if twin_cost < cost / TWIN_COST_RATIO:
         return turned, []
-    return found, alike if other < cost * ALIKE else []
+    if twin_cost >= cost * TWIN_COST_RATIO:
+        return found, []
+    text = "the same surface inside out, dents for bumps, explains the picture about as well: depth= or known= decides."
+    return found, [Finding(text, "inside-out")]
 
 
-def _say_light(scene: Scene) -> list[str]:
-    """What the direction of the light keeps from being known."""
+def _check_light(scene: PictureScene) -> list[Finding]:
+    """Refuse a light from behind, warn of one near the view."""
     facing = float((scene.light * scene.view).sum(0).expand_as(scene.mask)[scene.mask > 0].mean())
     if facing <= 0:
         raise RangeError(
@@ -323,105 +211,83 @@ def _say_light(scene: Scene) -> list[str]:
         )
     if facing < math.cos(FRONTAL):
         return []
-    said = f"the light is within {math.degrees(FRONTAL):.0f} degrees of the view: dents and bumps look alike."
-    warn(said)
-    return [said]
+    text = f"the light is within {math.degrees(FRONTAL):.0f} degrees of the view: dents and bumps look alike."
+    warn(text)
+    return [Finding(text, "light-near-view")]
 
 
 def _result(
-    scene: Scene,
-    found: Surface,
-    wish: FitSettings,
+    scene: PictureScene,
+    found: FitParameters,
+    settings: FitSettings,
     camera: Camera | None,
-    size: tuple[int, int],
-    window: tuple[slice, slice],
-    report: list[str],
+    window: Window,
+    findings: Sequence[Finding],
 ) -> Reconstruction:
-    """Maps of the surface in the whole picture of ``size``."""
+    """Maps of the surface in the whole picture, and what one picture does not determine."""
     inside = scene.mask > 0
-    with torch.enable_grad():
-        normal = surface_fit.normals(found.height, scene.rays, scene.pixel).detach().requires_grad_()
-        shaded = surface_fit.shade(scene, found, normal, wish)
-        (slope,) = torch.autograd.grad(shaded.mean(0).sum(), normal)
-    normal = normal.detach()
-    missed = (shaded.detach() - scene.image).abs().mean(0, keepdim=True)
-    along = (slope - (slope * normal).sum(0, keepdim=True) * normal).norm(dim=0, keepdim=True)
-    error = (missed.square() + (NOISE * scene.unit) ** 2).sqrt() / along.clamp_min(1e-9)
-    height = surface_fit.centres(found.height)
-    if not bool(scene.known.isfinite().any()):
+    reflectance = Reflectance.of(scene, found, settings)
+    normal = normals(found.height, scene.corner_rays, scene.pixel_angle)
+    difference, error = _brightness_and_normal_error(scene, reflectance, normal, settings.model)
+    height = to_centers(found.height)
+    if not bool(scene.known_height.isfinite().any()):
         height = height - height[inside].mean()
-    albedo, roughness, ambient = surface_fit.unknowns(scene, found, wish)
-    if wish.free_albedo:
-        report.append(
-            f"albedo {albedo.item():.3f}, estimated: a darker surface that leans more to the light looks much the same."
-        )
-    if wish.free_roughness:
-        report.append(
-            f"roughness {math.degrees(roughness.item()):.0f} degrees, estimated from one picture: take it as a guess."
-        )
-    if wish.free_ambient:
-        report.append(f"ambient light {ambient.item():.3f} of the light, estimated: it pales slopes as roughness does.")
-    if wish.free_albedo and wish.free_roughness:
-        report.append("albedo and roughness together are not told by one picture.")
-    if not wish.contour:
-        report.append("no occluding contour: a slant of the whole surface shows only as brightness.")
-    dark = int((inside & ~surface_fit.lit(scene, found, wish)).sum())
-    if dark:
-        report.append(f"{dark} pixels are in shadow: there the surface goes on smoothly, and confidence is low.")
+    dark = int((inside & ~lit_pixels(scene, reflectance)).sum())
 
-    def kept(values: Tensor) -> Tensor:
-        whole = values.new_zeros(len(values), *size)
-        whole[:, window[0], window[1]] = torch.where(inside, values, 0)
-        return whole
+    def whole(values: Tensor) -> Tensor:
+        return window.paste(torch.where(inside, values, 0))
 
     return Reconstruction(
-        normal=kept(normal),
-        albedo=kept(albedo),
-        roughness=kept(roughness),
-        residual=kept(missed),
-        confidence=kept(1 / (1 + (error / math.radians(2)) ** 2)),
-        model=wish.model,
+        normal=whole(normal),
+        albedo=whole(reflectance.albedo),
+        roughness=whole(reflectance.roughness),
+        residual=whole(difference),
+        confidence=whole(confidence_from_error(error)),
+        model=settings.model,
         scores={},
-        report=tuple(report),
-        roughness_error=math.inf if wish.free_roughness else 0.0,
-        depth=kept(_to_depth(height, camera, size)),
-        ambient=kept(ambient),
+        report=(*findings, *_doubts(reflectance, settings, dark)),
+        roughness_error=math.inf if settings.estimate_roughness else 0.0,
+        depth=whole(height_to_depth(height, camera, window.size)),
+        ambient=whole(reflectance.ambient),
     )
 
 
-def _check(image: Tensor, light: Tensor, mask: Tensor | None, depths: dict[str, Tensor | None]) -> Tensor:
-    """Shapes and units; the mask, (1, H, W) bool."""
-    if image.ndim != 3 or 0 in image.shape:
-        raise ShapeError(
-            "image", expected="(C, H, W)", got=str(tuple(image.shape)), mend="one image, or a batch of them"
-        )
-    size = tuple(image.shape[1:])
-    if tuple(light.shape) not in ((3,), (3, *size)):
-        raise ShapeError("light", expected=f"(3,) or {(3, *size)}", got=str(tuple(light.shape)), mend="one light")
-    check_unit("light", light, 0, gaps=light.ndim > 1)
-    inside = check_mask(mask, image)
-    for name, value in depths.items():
-        if value is not None and tuple(value.shape) != (1, *size):
-            raise ShapeError(name, expected=str((1, *size)), got=str(tuple(value.shape)), mend="of the image's size")
-    for name, value in (("image", image), ("depth", depths["depth"])):
-        if value is not None and not bool(value[:, inside[0]].isfinite().all()):
-            raise RangeError(name, expected="finite values inside the mask", got="NaN or infinity", mend="shrink mask")
-    return inside
+def _brightness_and_normal_error(
+    scene: PictureScene, reflectance: Reflectance, normal: Tensor, model: str
+) -> tuple[Tensor, Tensor]:
+    """Mean absolute residual of a pixel, and the error of its normal toward the light that it means; (1, H, W) each."""
+    with torch.enable_grad():
+        normal = normal.detach().requires_grad_()
+        shaded = shade(scene, reflectance, normal, model)
+        (gradient,) = torch.autograd.grad(shaded.mean(0).sum(), normal)
+    normal = normal.detach()
+    difference = (shaded.detach() - scene.image).abs().mean(0, keepdim=True)
+    slope = (gradient - (gradient * normal).sum(0, keepdim=True) * normal).norm(dim=0, keepdim=True)  # on the sphere
+    return difference, (difference.square() + (MIN_RESIDUAL * scene.peak) ** 2).sqrt() / slope.clamp_min(1e-9)
 
 
-def _solve_batch(image: Tensor, each: Mapping[str, Any], shared: Mapping[str, Any]) -> Reconstruction:
-    """One picture after the other; tensors with B in front are taken apart, numbers are shared."""
-    if len(image) == 0:
-        raise ShapeError("image", expected="at least one image", got=str(tuple(image.shape)), mend="add one")
-    for name, value in each.items():
-        if isinstance(value, Tensor) and value.ndim > 0 and len(value) != len(image):
-            got = str(tuple(value.shape))
-            raise ShapeError(name, expected=f"{len(image)} in a batch", got=got, mend="stack one per image")
-
-    def solve(b: int) -> Reconstruction:
-        own: dict[str, Any] = {k: v[b] if isinstance(v, Tensor) and v.ndim > 0 else v for k, v in each.items()}
-        return shape_from_shading(image[b], **own, **shared)
-
-    found = [solve(b) for b in range(len(image))]
-    depth, ambient = (torch.stack([getattr(f, name) for f in found]) for name in ("depth", "ambient"))
-    return replace(stack(found), depth=depth, ambient=ambient)
+def _doubts(reflectance: Reflectance, settings: FitSettings, dark: int) -> list[Finding]:
+    """What one picture does not determine; ``dark`` is the number of pixels in shadow."""
+    findings = []
+    if settings.estimate_albedo:
+        albedo = reflectance.albedo.item()
+        text = f"albedo {albedo:.3f}, estimated: a darker surface that leans more to the light looks much the same."
+        findings.append(Finding(text, "albedo-estimated", albedo))
+    if settings.estimate_roughness:
+        degrees = math.degrees(reflectance.roughness.item())
+        text = f"roughness {degrees:.0f} degrees, estimated from one picture: take it as a guess."
+        findings.append(Finding(text, "roughness-estimated", degrees))
+    if settings.estimate_ambient:
+        ambient = reflectance.ambient.item()
+        text = f"ambient light {ambient:.3f} of the light, estimated: it flattens the shading as roughness does."
+        findings.append(Finding(text, "ambient-estimated", ambient))
+    if settings.estimate_albedo and settings.estimate_roughness:
+        text = "one picture does not determine albedo and roughness together."
+        findings.append(Finding(text, "albedo-and-roughness-estimated"))
+    if not settings.contour:
+        text = "no occluding contour: a slant of the whole surface shows only as brightness."
+        findings.append(Finding(text, "no-contour"))
+    if dark:
+        text = f"{dark} pixels are in shadow: the surface is continued smoothly there, and confidence is low."
+        findings.append(Finding(text, "shadow-pixels", dark))
+    return findings

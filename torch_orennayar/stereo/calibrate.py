@@ -1,8 +1,9 @@
-"""Find lights: directions from a chrome ball, intensities from a grey ball or from the capture itself."""
+"""Calibrate lights: directions from a chrome ball, intensities from a grey ball or from the capture itself."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import torch
 import torch.nn.functional as F
@@ -10,18 +11,33 @@ from torch import Tensor
 
 from ..core.checks import check_floating, check_unit
 from ..core.errors import CaptureError, RangeError, ShapeError
+from ..core.optional import require
 from ..geometry.primitives import Ball
 from . import robust_fit
 from .material import LightDirections, Material
+from .pixel_sample import PixelSample
+from .robust_fit import PixelFit
+from .robust_stats import mean_brightness
 
 HIGHLIGHT = 0.5
-"""A highlight is what is brighter than this share of the brightest pixel on the ball."""
+"""Share of the brightest pixel on the ball above which pixels belong to a highlight. Set by hand."""
+LARGEST_HIGHLIGHT = 0.1
+"""Share of the ball's area; what is larger is no highlight of a mirror ball. Set by hand."""
 RIVAL = 0.5
-"""A second spot of this share of the first one's area makes it unclear which is the light."""
+"""Share of the first highlight's area from which a second one makes it unclear which is the light. Set by hand."""
+RIM = 0.98
+"""Distance from the ball's centre over its radius beyond which a highlight determines no direction. Set by hand."""
+LEAST_INCIDENCE, LEAST_VIEW = 0.2, 0.3
+"""Least cosines to the light and to the view of pixels of a grey ball that count: away from terminator and rim, where a
+small error of the circle matters. Set by hand."""
+CIRCLE_PERFECTNESS = 0.6
+"""Of a circle in OpenCV's Hough transform, in (0, 1]: lower values find more false circles. Set by hand."""
 ROUNDS = 40
+"""Alternations between fits and intensities. Set by hand."""
 OVERSHOOT = 1.8
-"""Taking turns creeps; steps this much longer arrive sooner."""
-SAMPLE_PIXELS = 4000
+"""Over-relaxation: the power of the change of the intensities. The alternation converges slowly with 1. Set by hand."""
+CALIBRATION_PIXELS = 4000
+"""Pixels from which the intensities are found. Set by hand."""
 
 
 def find_ball(mask: Tensor) -> Ball:
@@ -46,6 +62,7 @@ def find_ball(mask: Tensor) -> Ball:
         >>> abs(ball.x - 20) < 0.6, abs(ball.radius - 10) < 0.6
         (True, True)
     """
+    require("cv2")
     import cv2
     import numpy as np
 
@@ -67,10 +84,10 @@ def find_ball(mask: Tensor) -> Ball:
 
 
 def find_circle(images: Tensor) -> Ball:
-    """The most prominent circle in photographs of a ball, by Hough's transform.
+    """The most prominent circle in photographs of a ball, by OpenCV's Hough transform.
 
     Args:
-        images: (K, C, H, W) linear light; the ball is told from its ground in their brightest values.
+        images: (K, C, H, W) linear light; the ball must differ from its background in their maximum.
 
     Returns:
         The `Ball`.
@@ -78,6 +95,7 @@ def find_circle(images: Tensor) -> Ball:
     Raises:
         CaptureError: no circle stands out.
     """
+    require("cv2")
     import cv2
     import numpy as np
 
@@ -91,7 +109,7 @@ def find_circle(images: Tensor) -> Ball:
         1.5,
         least,
         param1=150,
-        param2=0.6,
+        param2=CIRCLE_PERFECTNESS,
         minRadius=least,
         maxRadius=max(picture.shape),
     )
@@ -109,8 +127,8 @@ def find_circle(images: Tensor) -> Ball:
 def light_directions(images: Tensor, ball: Ball) -> Tensor:
     """Directions to distant lights from photographs of a mirror ball, orthographic view.
 
-    The centre of the highlight tells the normal there; the light is the view, reflected about it (not the
-    normal itself, which lies half way).
+    The centre of the highlight determines the normal there; the light is the view reflected about that normal, which
+    lies halfway between both.
 
     Args:
         images: (K, C, H, W) linear light, one per light.
@@ -132,6 +150,7 @@ def light_directions(images: Tensor, ball: Ball) -> Tensor:
         >>> [round(v, 3) for v in light_directions(picture, Ball(20.0, 20.0, 20.0))[0].tolist()]
         [0.866, 0.0, 0.5]
     """
+    require("cv2")
     import cv2
     import numpy as np
 
@@ -142,7 +161,7 @@ def light_directions(images: Tensor, ball: Ball) -> Tensor:
         grey = torch.where(inside[0], image, 0.0)
         bright = grey >= HIGHLIGHT * grey.max()
         where = f"image {index + 1}"
-        if not bool(grey.max() > 0) or bool(bright.sum() > 0.1 * inside.sum()):
+        if not bool(grey.max() > 0) or bool(bright.sum() > LARGEST_HIGHLIGHT * inside.sum()):
             raise CaptureError(where, expected="a small highlight", got="none", mend="photograph a mirror ball")
         count, labels, areas, _ = cv2.connectedComponentsWithStats(bright.numpy().astype(np.uint8))
         order = 1 + areas[1:, cv2.CC_STAT_AREA].argsort()[::-1]
@@ -154,7 +173,7 @@ def light_directions(images: Tensor, ball: Ball) -> Tensor:
         row, column = torch.meshgrid(torch.arange(grey.shape[0]), torch.arange(grey.shape[1]), indexing="ij")
         x = float((weight * column).sum() / weight.sum() - ball.x) / ball.radius
         y = float(ball.y - (weight * row).sum() / weight.sum()) / ball.radius
-        if x * x + y * y > 0.98**2:
+        if x * x + y * y > RIM**2:
             raise CaptureError(
                 where, expected="a highlight on the ball", got="one at its edge", mend="check the ball's circle"
             )
@@ -164,7 +183,7 @@ def light_directions(images: Tensor, ball: Ball) -> Tensor:
 
 
 def ball_intensities(images: Tensor, lights: Tensor, ball: Ball) -> Tensor:
-    """Intensities of the lights from photographs of a matt grey ball, each channel's mean 1.
+    """Intensities of the lights from photographs of a matt grey ball, normalised to a mean of 1 in each channel.
 
     Args:
         images: (K, C, H, W) linear light.
@@ -176,13 +195,13 @@ def ball_intensities(images: Tensor, lights: Tensor, ball: Ball) -> Tensor:
 
     Raises:
         ShapeError: shapes do not fit together.
-        CaptureError: a light that does not show on the ball.
+        CaptureError: a light that does not reach the ball; names the image.
     """
     _check_images(images)
     _check_lights(images, lights)
     normal, inside = ball.normals((images.shape[2], images.shape[3]))
     cosine = torch.einsum("kc,chw->khw", lights.to(images), normal.to(images)).clamp_min(0)
-    lit = (inside & (cosine > 0.2) & (normal[2:] > 0.3))[:, None].to(images)  # away from rim and terminator
+    lit = (inside & (cosine > LEAST_INCIDENCE) & (normal[2:] > LEAST_VIEW))[:, None].to(images)
     amount = (images * cosine[:, None] * lit).sum((2, 3)) / (cosine.square()[:, None] * lit).sum((2, 3)).clamp_min(1e-9)
     if not bool((amount > 0).all()):
         dark = int((amount <= 0).any(1).nonzero()[0])
@@ -192,10 +211,11 @@ def ball_intensities(images: Tensor, lights: Tensor, ball: Ball) -> Tensor:
 
 @torch.no_grad()
 def own_intensities(images: Tensor, lights: Tensor, mask: Tensor | None = None, *, seed: int = 0) -> Tensor:
-    """Intensities of the lights from the capture itself (semi-calibrated), the mean over lights 1.
+    """Intensities of the lights from the capture itself (semi-calibrated), normalised to a mean of 1.
 
-    Robust Lambertian fits and the intensities that explain them best take turns. Directions must be known; surfaces
-    must face many ways, or intensity passes for a slant. One number per light: colours of lights need a grey ball.
+    Alternates between robust Lambertian fits and the intensities that explain them best. Directions must be known, and
+    the surface must have normals in many directions: on a plane an intensity cannot be separated from a slant. One
+    number per light; colours of lights need a grey ball.
 
     Args:
         images: (K, C, H, W) linear light.
@@ -208,14 +228,14 @@ def own_intensities(images: Tensor, lights: Tensor, mask: Tensor | None = None, 
 
     Raises:
         ShapeError: shapes do not fit together.
-        CaptureError: fewer than 5 lights: 3 numbers a pixel and one a light leave nothing to tell them apart.
+        CaptureError: fewer than 5 lights, which do not determine 3 numbers per pixel and one per light.
 
     Source: the setting of Cho, Matsushita, Tai & Kweon 2016, "Semi-calibrated photometric stereo".
 
     Example:
         >>> import torch, torch_orennayar as ton
         >>> from torch_orennayar.stereo.calibrate import own_intensities
-        >>> from torch_orennayar.demo import spiral_lights
+        >>> from torch_orennayar.geometry.primitives import spiral_lights
         >>> toward = torch.rand(1, 3, 16, 16) + torch.tensor([-0.5, -0.5, 1]).reshape(3, 1, 1)
         >>> normal = torch.nn.functional.normalize(toward)
         >>> lights, strength = spiral_lights(12), torch.linspace(0.8, 1.2, 12)[:, None]
@@ -229,18 +249,24 @@ def own_intensities(images: Tensor, lights: Tensor, mask: Tensor | None = None, 
         raise CaptureError("images", expected="at least 5", got=str(len(images)), mend="calibrate with a grey ball")
     inside = torch.ones(images.shape[2:], dtype=torch.bool) if mask is None else mask[0]
     grey = images.mean(1)[:, inside].T.float()
-    grey = grey[(grey > 0).sum(1) >= 3]
+    places = inside.flatten().nonzero().flatten()
+    lit = (grey > 0).sum(1) >= 3
+    grey, places = grey[lit], places[lit]
     generator = torch.Generator().manual_seed(seed)
-    grey = grey[torch.randperm(len(grey), generator=generator)[:SAMPLE_PIXELS].to(grey.device)]
-    rays = LightDirections.of(lights.to(grey))
+    some = torch.randperm(len(grey), generator=generator)[:CALIBRATION_PIXELS].to(grey.device)
+    directions = LightDirections.of(lights.to(grey))
+    sample = PixelSample(grey[some], directions, places[some], images.shape[3])
     intensity = torch.ones(1, len(images), device=grey.device)
-    fitted: robust_fit.PixelFit | str = "middle"
-    for round_number in range(ROUNDS):
-        seen = grey / intensity
-        fitted = robust_fit.fit(seen, rays, Material(), start=fitted, steps=3 if round_number else 8)
-        predicted = robust_fit.predict(fitted, rays, Material())
-        weight = robust_fit.weights(fitted, seen, predicted, "lit") / robust_fit.mean_of(seen).square()
-        gain = (weight * seen * predicted).sum(0) / (weight * predicted.square()).sum(0).clamp_min(1e-12)
+    fitted: PixelFit | None = None
+    for _ in range(ROUNDS):
+        scaled = replace(sample, grey=sample.grey / intensity)
+        if fitted is None:
+            fitted = robust_fit.fit(scaled, Material(), steps=8)
+        else:
+            fitted = robust_fit.fit(scaled, Material(), start=fitted, steps=3)
+        predicted = robust_fit.predict(fitted, directions, Material())
+        weight = robust_fit.weights(fitted, scaled.grey, predicted, "lit") / mean_brightness(scaled.grey).square()
+        gain = (weight * scaled.grey * predicted).sum(0) / (weight * predicted.square()).sum(0).clamp_min(1e-12)
         intensity = intensity * gain**OVERSHOOT
         intensity = intensity / intensity.mean()
     return intensity.T.to(images)

@@ -1,150 +1,143 @@
-"""Light that parts of a surface send to each other, found from photographs and taken out of them.
+"""Light that parts of a surface send to each other, found from photographs.
 
-What every part sends is what its photograph shows; where it goes follows from a first, simple surface. How white the
-surface is in truth, photographs of unknown exposure do not tell: that one number is chosen by how well what is left
+What every part sends is what its photograph shows; where it goes follows from a first, Lambertian surface. Photographs
+of unknown exposure do not determine how white the surface is: that one number is chosen by how well the remaining light
 is explained.
 
-Source: the idea of taking shapes and light between them in turns: Nayar, Ikeuchi & Kanade 1991, "Shape from
+Source: the idea of alternating between shape and interreflection: Nayar, Ikeuchi & Kanade 1991, "Shape from
 interreflections".
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from ..core.findings import Finding
+from ..core.optional import require
 from ..geometry.integrate import integrate_normals
 from ..render.radiosity import arriving, form_factors
 from . import robust_fit
-from .material import LightDirections, Material
-from .material_selection import SAMPLE_PIXELS, error
+from .interreflected_light import InterreflectedLight
+from .material import Material
+from .material_refinement import capped_error
+from .pixel_sample import SAMPLE_PIXELS, PixelSample
 from .robust_fit import PixelFit
+from .robust_stats import in_light, mean_brightness
 from .roughness_map import at_levels
-from .row_bands import gather, gather_directions, solve_bands
+from .row_bands import solve_bands
 
 MOST_PIXELS = 15_000
-"""Of the picture on which light is followed; larger ones are halved until they fit."""
+"""Pixels of the picture on which light is followed; larger pictures are halved until they have fewer. Set by hand."""
 STEEPEST = 0.15
-"""Least cosine to the view with which a pixel's surface is reckoned."""
+"""Least cosine to the view in the area of a pixel's surface. Set by hand."""
 STRENGTHS = (0.2, 0.4, 0.6, 0.8, 1.0)
-"""Albedos that are tried for the brightest twentieth of the surface."""
+"""Albedos that are tried for the brightest twentieth of the surface. Set by hand."""
 PATCHES = 1000
-"""Of the surface, whose light is followed."""
+"""Pixels that stand for the surface as senders of light. Set by hand."""
 CHUNK = 4096
-"""Pixels at once."""
-LOOKED_AT = 10_000
-"""Pixels among which hollows are sought."""
+"""Receiving pixels that are evaluated together, which bounds the memory. Set by hand."""
+CANDIDATES = 10_000
+"""Pixels among which hollows are sought. Set by hand."""
 NOTABLE = 0.03
-"""Share of a pixel's light that must come from others, were they white, for it to lie in a hollow."""
+"""Share of a pixel's light that must come from other parts, were they white, for it to lie in a hollow. Set by hand."""
 FEWEST = 100
-"""Hollow pixels that can decide."""
+"""Number of hollow pixels that can decide. Set by hand."""
 DARKEST = 0.01
-"""Share of the object's mean below which a pixel's own light is noise."""
+"""Share of the object's mean below which a pixel's own light is noise. Set by hand."""
 MOST_SHARE = 2.0
-"""Of a pixel's own light: more than all of it comes from others only if they are less white than reckoned."""
+"""Greatest share of a pixel's own light that may come from other parts: above 1 only if they are less white than
+assumed. Set by hand."""
 GAIN = 0.005
-"""Share of the misfit in hollows that must go."""
-
-
-@dataclass(frozen=True)
-class InterreflectedLight:
-    """Light from other parts of the surface.
-
-    Attributes:
-        share: (K, C, h, w) of a pixel's mean over lights, for a surface whose brightest parts are white.
-        factor: how many times smaller than the photographs it is.
-        strength: albedo of those parts.
-    """
-
-    share: Tensor
-    factor: int
-    strength: float = 1.0
-
-    def removed_from(self, images: Tensor, first: int) -> Tensor:
-        """Rows ``first`` on of the photographs, (K, C, R, W), without that light."""
-        rows, columns = (torch.arange(n, device=images.device) for n in images.shape[2:])
-        places = self._places(rows[:, None] + first, columns)
-        mean = images.mean(0, dtype=self.share.dtype).clamp_min(0)
-        left = torch.empty_like(images)
-        for k, image in enumerate(images):
-            left[k] = image - (self.strength * _sampled(self.share[k : k + 1], places)[0] * mean).to(images)
-        return left
-
-    def at(self, seen: Tensor, picked: Tensor, width: int) -> Tensor:
-        """That light at P pixels of a picture so wide that show ``seen`` (P, C, K)."""
-        places = self._places(picked // width, picked % width)
-        mean = seen.to(self.share).mean(2, keepdim=True).clamp_min(0)
-        return self.strength * _sampled(self.share, places[None])[:, :, 0].permute(2, 1, 0) * mean
-
-    def _places(self, rows: Tensor, columns: Tensor) -> Tensor:
-        """Pixels in grid_sample's units, (..., 2)."""
-        height, width = (self.factor * n for n in self.share.shape[2:])
-        x, y = torch.broadcast_tensors((columns + 0.5) / width * 2 - 1, (rows + 0.5) / height * 2 - 1)
-        return torch.stack((x, y), -1).to(self.share)
-
-
-def _sampled(maps: Tensor, places: Tensor) -> Tensor:
-    """Maps (N, C, h, w) at (R, S, 2)."""
-    return F.grid_sample(maps, places.expand(len(maps), -1, -1, -1), padding_mode="border", align_corners=False)
+"""Share of the misfit in hollows that must vanish for the light to be removed. Set by hand."""
 
 
 def choose_interreflected_light(
     images: Tensor, lights: Tensor, inside: Tensor, material: Material, seed: int
-) -> tuple[InterreflectedLight | None, str]:
-    """The light to take out of photographs, if that explains hollows better, and a sentence on it."""
-    alone = None, "parts of the surface hardly light each other."
-    place = inside.flatten().nonzero().flatten()
-    if len(place) < FEWEST:
-        return alone
+) -> tuple[InterreflectedLight | None, Finding]:
+    """The light to remove from photographs, if that explains hollows better, and a finding on it.
+
+    Args:
+        images: (K, C, H, W).
+        lights: (K, 3) or (K, 3, H, W).
+        inside: (H, W) bool.
+        material: of the surface.
+        seed: picks the pixels among which hollows are sought.
+    """
+    no_hollows = Finding("parts of the surface hardly light each other.", "interreflection-kept")
+    if int(inside.sum()) < FEWEST:
+        return None, no_hollows
     interreflected = find_interreflected_light(images, lights, inside)
+    hollows, received, share = _sample_hollows(images, lights, inside, interreflected, seed)
+    if len(hollows) < FEWEST:
+        return None, no_hollows
+    costs = _misfit_by_strength(hollows, received, share, material)
+    best = min(costs, key=costs.__getitem__)
+    listed = ", ".join(f"{strength:g} {cost:.4f}" for strength, cost in costs.items())
+    if costs[best] > (1 - GAIN) * costs[0.0]:
+        text = f"removing light between parts of the surface explains hollows no better (misfit by albedo: {listed})."
+        return None, Finding(text, "interreflection-kept")
+    text = (
+        f"light between parts of the surface is removed, as of a surface whose brightest parts have albedo {best:g} "
+        f"(misfit by albedo: {listed})."
+    )
+    return replace(interreflected, strength=best), Finding(text, "interreflection-removed", best)
+
+
+def _sample_hollows(
+    images: Tensor, lights: Tensor, inside: Tensor, interreflected: InterreflectedLight, seed: int
+) -> tuple[PixelSample, Tensor, Tensor]:
+    """Pixels in hollows, the light (P, K) that they receive from other parts, and that as a share of theirs, (P,)."""
+    places = inside.flatten().nonzero().flatten()
     generator = torch.Generator().manual_seed(seed)
-    picked = place[torch.randperm(len(place), generator=generator)[:LOOKED_AT].to(place.device)]
-    received = interreflected.at(images.flatten(2)[:, :, picked].permute(2, 1, 0), picked, images.shape[3]).mean(1)
-    grey = gather(images, picked)
-    share = received.mean(1) / robust_fit.mean_of(grey)[:, 0]
+    places = places[torch.randperm(len(places), generator=generator)[:CANDIDATES].to(places.device)]
+    seen = images.flatten(2)[:, :, places].permute(2, 1, 0)
+    received = interreflected.at(seen, places, images.shape[3]).mean(1)
+    candidates = PixelSample.gather(images, lights, places)
+    share = received.mean(1) / mean_brightness(candidates.grey)[:, 0]
     hollow = (share > NOTABLE).nonzero().flatten()[:SAMPLE_PIXELS]
-    if len(hollow) < FEWEST:
-        return alone
-    received, grey = received[hollow], grey[hollow]
-    rays = LightDirections.of(gather_directions(lights, picked[hollow]).to(grey))
-    unit, weight = robust_fit.mean_of(grey), robust_fit.in_light(grey) * share[hollow, None]
+    return candidates[hollow], received[hollow], share[hollow]
 
-    def explain(strength: float, material: Material, start: PixelFit, steps: int) -> tuple[float, PixelFit]:
-        left = grey - strength * received
-        fitted = robust_fit.fit(left, rays, material, start=start, steps=steps)
-        return error(left, robust_fit.predict(fitted, rays, material), unit, weight), fitted
 
-    start = robust_fit.fit(grey, rays, Material(), used="middle", steps=8)
-    levels = at_levels(material) if material.varied else [material]
-    tried = [(*explain(0.0, level, start, 12), level) for level in levels]
+def _misfit_by_strength(
+    hollows: PixelSample, received: Tensor, share: Tensor, material: Material
+) -> dict[float, float]:
+    """Error of the fit to hollows without the light that they receive, by the albedo of the surface; 0 removes none."""
+    mean, weight = mean_brightness(hollows.grey), in_light(hollows.grey) * share[:, None]
+
+    def misfit(strength: float, material: Material, start: PixelFit, steps: int) -> tuple[float, PixelFit]:
+        left = replace(hollows, grey=hollows.grey - strength * received)
+        fitted = robust_fit.fit(left, material, start=start, steps=steps)
+        predicted = robust_fit.predict(fitted, left.directions, material)
+        return capped_error(left.grey, predicted, mean, weight), fitted
+
+    start = robust_fit.fit(hollows, Material(), used="middle", steps=8)
+    levels = at_levels(material) if material.roughness_varies else [material]
+    tried = [(*misfit(0.0, level, start, 12), level) for level in levels]
     least, fitted, material = min(tried, key=lambda found: found[0])
     costs = {0.0: least}
     for strength in STRENGTHS:
-        costs[strength], fitted = explain(strength, material, fitted, 6)
-    best = min(costs, key=costs.__getitem__)
-    listed = ", ".join(f"{strength:g} {cost:.4f}" for strength, cost in costs.items())
-    if costs[best] > (1 - GAIN) * least:
-        return None, f"light between parts of the surface explains hollows no better (misfit by albedo: {listed})."
-    return replace(interreflected, strength=best), (
-        f"light that parts of the surface send each other is taken away, as of a surface whose brightest parts have "
-        f"albedo {best:g} (misfit by albedo: {listed})."
-    )
+        costs[strength], fitted = misfit(strength, material, fitted, 6)
+    return costs
 
 
 def find_interreflected_light(images: Tensor, lights: Tensor, inside: Tensor) -> InterreflectedLight:
-    """What every pixel of photographs (K, C, H, W) receives from the others, if the brightest are white."""
+    """What every pixel of photographs (K, C, H, W) receives from the others, if the brightest parts are white.
+
+    The photographs are made smaller first, and solved for a Lambertian surface.
+    """
     factor, pixels = 1, int(inside.sum())
     while pixels > MOST_PIXELS * factor * factor:
         factor *= 2
     small, mask = _pooled(images, inside, factor)
     if lights.ndim == 4:
         lights = F.normalize(F.avg_pool2d(torch.where(inside, lights, 0), factor, ceil_mode=True), dim=1)
-    found = solve_bands(small, lights, mask, Material(), "middle")
-    points, part = _points(found["normal"], mask), _parts(inside, factor)[mask]
-    normal, seen, albedo = (m[..., mask].movedim(-1, 0) for m in (found["normal"], small, found["albedo"]))
+    surface = solve_bands(small, lights, mask, Material(), "middle")
+    points, part = _points(surface.normal, mask), _parts(inside, factor)[mask]
+    normal, seen, albedo = (m[..., mask].movedim(-1, 0) for m in (surface.normal, small, surface.albedo))
     order = torch.randperm(len(points), generator=torch.Generator().manual_seed(0))[:PATCHES].to(points.device)
     area = len(points) / len(order) / normal[order, 2:].clamp_min(STEEPEST)
     white = albedo.amax(1).quantile(0.95).clamp_min(1e-12)
@@ -172,7 +165,7 @@ def _pooled(images: Tensor, inside: Tensor, factor: int) -> tuple[Tensor, Tensor
 
 
 def _points(normal: Tensor, mask: Tensor) -> Tensor:
-    """Where the pixels lie, (P, 3), in pixels."""
+    """Positions of the pixels' surface, (P, 3), in pixels."""
     height = integrate_normals(normal, mask[None])[0, mask].to(normal)
     row, column = mask.nonzero().unbind(1)
     return torch.stack((column.to(height), -row.to(height), height), 1)
@@ -180,6 +173,7 @@ def _points(normal: Tensor, mask: Tensor) -> Tensor:
 
 def _parts(inside: Tensor, factor: int) -> Tensor:
     """Number of the connected part that every pixel of a smaller picture belongs to, (h, w)."""
+    require("scipy")
     from scipy.ndimage import label
 
     parts = torch.from_numpy(label(inside.cpu().numpy())[0]).to(inside.device)

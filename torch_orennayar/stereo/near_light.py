@@ -1,4 +1,4 @@
-"""Photometric stereo under near lights: normals and depth take turns."""
+"""Photometric stereo under near lights: normals and depth are solved in alternation."""
 
 from __future__ import annotations
 
@@ -14,11 +14,12 @@ from ..core.progress import track
 from ..geometry.camera import Camera
 from ..geometry.integrate import integrate_normals
 from ..reconstruction import Reconstruction
-from ..shading.layer import point_light
+from ..shading.point_light import point_light
 from .solver import photometric_stereo
 
 DARK = 1e-3
-"""Irradiance below this share of its light's mean counts as this: behind a light nothing is divided by nothing."""
+"""Least irradiance that images are divided by, as a share of its light's mean over the object: behind a light there is
+none. Set by hand."""
 
 
 @torch.no_grad()
@@ -35,21 +36,21 @@ def near_light_stereo(
 ) -> Reconstruction:
     """Recover normals, depth, albedo, roughness and highlights from images under near point lights.
 
-    Normals and depth take turns: depth says from where each light comes and how strongly at every pixel
-    (`point_light`), `photometric_stereo` finds the normals, `integrate_normals` the depth. The turns begin with a
-    plane facing the camera and go through Lambert's model; the last one takes ``model``. Perspective views are
-    solved in each pixel's own frame.
+    Normals and depth are solved in alternation: the depth gives the direction and irradiance of each light at every
+    pixel (`point_light`), `photometric_stereo` the normals, `integrate_normals` the depth. The first round starts from
+    a plane that faces the camera. All rounds take Lambert's model but the last one, which takes ``model``. Perspective
+    views are solved in each pixel's own frame. Not differentiable.
 
     Args:
         images: (K, C, H, W) linear light, divided by the lights' intensities: their irradiance at distance 1.
-        positions: (K, 3) of the lights in the camera frame (x right, y up, z toward the viewer, the eye at 0: what
-            it sees has negative z), in the unit of ``distance``.
+        positions: (K, 3) of the lights in the camera frame (x right, y up, z toward the viewer, the eye at 0, so that
+            what it sees has negative z), in the unit of ``distance``.
         mask: (1, H, W) bool; default all pixels. Regions that do not touch get the same mean distance.
         camera: one camera.
         distance: of the object from the camera along its axis: the mean of an orthographic view's depth, the
             geometric mean of a perspective view's. Not found from the images: measure it.
         model: as for `photometric_stereo`.
-        rounds: turns before the last one.
+        rounds: of the alternation before the last one.
         seed: as for `photometric_stereo`.
 
     Returns:
@@ -63,12 +64,12 @@ def near_light_stereo(
         CaptureError: as `photometric_stereo`.
 
     Source:
-        Alternation of normals and depth as in Papadhimitri & Favaro 2014, "Uncalibrated near-light photometric
+        Alternation between normals and depth as in Papadhimitri & Favaro 2014, "Uncalibrated near-light photometric
         stereo"; here with calibrated lights.
 
     Example:
         >>> import torch, torch_orennayar as ton
-        >>> from torch_orennayar.demo import spiral_lights
+        >>> from torch_orennayar.geometry.primitives import spiral_lights
         >>> positions = 3 * spiral_lights(8) - torch.tensor([0.0, 0.0, 4.0])
         >>> camera = ton.Camera.orthographic()
         >>> plane = camera.points(torch.full((1, 1, 9, 9), 4.0))
@@ -82,31 +83,32 @@ def near_light_stereo(
     inside = _check(images, positions, mask, camera, distance, rounds)
     size = (images.shape[2], images.shape[3])
     view = camera.view_directions(size)[0].to(images)
-    depth = torch.full((1, *size), float(distance), dtype=images.dtype, device=images.device)
-    for turn in track(range(rounds + 1), "near lights", rounds + 1):
+
+    def update(depth: Tensor, model: str) -> tuple[Reconstruction, Tensor]:
+        """What `photometric_stereo` finds for lights seen from that depth, and the depth of its normals."""
         light, irradiance = point_light(camera.points(depth[None]), positions[:, :, None, None].to(images), 1.0)
         _check_lights(light, view, inside)
         irradiance = torch.maximum(irradiance, DARK * irradiance[:, :, inside[0]].mean(2, keepdim=True)[..., None])
-        found = photometric_stereo(
-            torch.where(inside, images / irradiance, 0),
-            _turn(light, view),
-            inside,
-            model=model if turn == rounds else "lambert",
-            seed=seed,
-        )
-        normal = torch.where(inside, _turn(found.normal, view, back=True), 0)
-        depth = _place(normal, inside, camera, distance)
-    return replace(found, normal=normal, depth=torch.where(inside, depth, 0))
+        seen = torch.where(inside, images / irradiance, 0)
+        found = photometric_stereo(seen, _rotate(light, view), inside, model=model, seed=seed)
+        normal = torch.where(inside, _rotate(found.normal, view, back=True), 0)
+        return replace(found, normal=normal), _integrate(normal, inside, camera, distance)
+
+    depth = torch.full((1, *size), float(distance), dtype=images.dtype, device=images.device)
+    for _ in track(range(rounds), "near lights", rounds):
+        _, depth = update(depth, "lambert")
+    found, depth = update(depth, model)
+    return replace(found, depth=torch.where(inside, depth, 0))
 
 
-def _place(normal: Tensor, inside: Tensor, camera: Camera, distance: float) -> Tensor:
-    """Depth of the surface with these normals at this distance; outside the mask a plane."""
+def _integrate(normal: Tensor, inside: Tensor, camera: Camera, distance: float) -> Tensor:
+    """Depth (1, H, W) of the surface with these normals at this mean distance; outside the mask a plane."""
     depth = integrate_normals(normal, inside, camera=camera)
     return torch.where(inside, depth * distance if camera.is_perspective else depth + distance, distance)
 
 
-def _turn(vectors: Tensor, view: Tensor, *, back: bool = False) -> Tensor:
-    """Rotate (..., 3, H, W) so that every pixel's view (3, H, W) becomes the z axis, or back, by the shortest way."""
+def _rotate(vectors: Tensor, view: Tensor, *, back: bool = False) -> Tensor:
+    """Rotate (..., 3, H, W) by the smallest angle that makes every pixel's view (3, H, W) the z axis, or back."""
     x, y, z = view.unbind(0)
     share = 1 / (1 + z)
     rows = (
@@ -119,7 +121,7 @@ def _turn(vectors: Tensor, view: Tensor, *, back: bool = False) -> Tensor:
 
 
 def _check_lights(light: Tensor, view: Tensor, inside: Tensor) -> None:
-    """No light may lie behind most of the object: then frames are mixed up."""
+    """Refuse positions if most lights lie behind most of the object: then frames are mixed up."""
     front = (light * view).sum(1)[:, inside[0]] > 0
     behind = (front.double().mean(1) < 0.5).nonzero().flatten().tolist()
     if 2 * len(behind) > len(light):
@@ -134,7 +136,7 @@ def _check_lights(light: Tensor, view: Tensor, inside: Tensor) -> None:
 def _check(
     images: Tensor, positions: Tensor, mask: Tensor | None, camera: Camera, distance: float, rounds: int
 ) -> Tensor:
-    """Shapes and ranges that `photometric_stereo` does not look at; the mask, (1, H, W) bool."""
+    """Check shapes and ranges that `photometric_stereo` does not check; return the mask, (1, H, W) bool."""
     if images.ndim != 4:
         raise ShapeError("images", expected="(K, C, H, W)", got=str(tuple(images.shape)), mend="one capture at a time")
     if positions.shape != (len(images), 3):

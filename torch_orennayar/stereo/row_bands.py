@@ -2,163 +2,177 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
-from ..core.checks import check_unit
 from ..core.progress import track
-from ..shading.tiled import working_dtype
+from ..reconstruction import confidence_from_error
 from . import robust_fit
-from .material import LightDirections, Material
-from .pixel_grid import Grid, agree, neighbourhood_normals, shared_misfit
+from .channel_fit import fit_channels
+from .interreflected_light import InterreflectedLight
+from .material import Material
+from .pixel_grid import Grid, choose_consistent, neighbourhood_normals, shared_misfit
+from .pixel_sample import PixelSample
 from .robust_fit import PixelFit
+from .robust_stats import Used, mean_brightness
 from .roughness_map import RADIUS, at_levels, blend, level_cost
+from .solved_maps import SolvedMaps
 
 BAND, BAND_ACCELERATOR = 2**26, 2**30
-"""Observations that are solved together: what bounds the memory of large captures."""
+"""Observations that are solved together on a processor and on an accelerator: what bounds the memory of large captures
+(``scripts/benchmarks/large_capture.py`` measures it). Set by hand."""
 SWEEPS = 8
-"""Steps in which neighbours pull at pixels that fit badly."""
+"""Last steps, in which neighbours' normals are a prior for pixels that fit badly. Set by hand."""
 OVERLAP = SWEEPS + 5 + RADIUS
-"""Rows beyond a band that its pixels hear of: through sweeps, choice of starts, shared misfit and shared roughness."""
+"""Rows beyond a band on which its pixels depend: through sweeps, choice of starts, shared misfit, shared roughness."""
 
 
-Mend = Callable[[Tensor, int], Tensor]
-"""What photographs' rows (K, C, R, W), from a first one on, should have shown."""
+@dataclass(frozen=True)
+class _Band:
+    """Rows that are solved together.
+
+    Attributes:
+        images: (K, C, R, W).
+        sample: every pixel inside the mask.
+        grid: where these lie.
+        used: observations that count.
+    """
+
+    images: Tensor
+    sample: PixelSample
+    grid: Grid
+    used: Used
 
 
 def solve_bands(
-    images: Tensor, lights: Tensor, inside: Tensor, material: Material, used: str, mend: Mend | None = None
-) -> dict[str, Tensor]:
-    """Maps (C, H, W) of the whole picture, solved in bands of rows that bound the memory.
+    images: Tensor,
+    lights: Tensor,
+    inside: Tensor,
+    material: Material,
+    used: Used,
+    interreflected: InterreflectedLight | None = None,
+) -> SolvedMaps:
+    """Maps of the whole picture, solved in bands of rows that bound the memory.
 
-    Bands overlap by as many rows as pixels see of their neighbours, so that no seam shows.
+    Bands overlap by as many rows as pixels depend on beyond their own, so that no seam shows.
+
+    Args:
+        images: (K, C, H, W).
+        lights: (K, 3) or (K, 3, H, W).
+        inside: (H, W) bool.
+        material: what all pixels share.
+        used: observations that count.
+        interreflected: light to subtract from the images first.
     """
     height = len(inside)
     rows = band_height(len(images), inside)
-    whole: dict[str, Tensor] = {}
+    whole: SolvedMaps | None = None
     for top in range(0, height, rows):
         bottom = min(top + rows, height)
         first, last = max(top - OVERLAP, 0), min(bottom + OVERLAP, height)
         if not bool(inside[top:bottom].any()):
             continue
-        part = lights if lights.ndim == 2 else lights[:, :, first:last]
         seen = images[:, :, first:last]
-        found = _solve(mend(seen, first) if mend else seen, part, inside[first:last], material, used)
+        if interreflected:
+            seen = interreflected.removed_from(seen, first)
+        part = lights if lights.ndim == 2 else lights[:, :, first:last]
+        places = inside[first:last].flatten().nonzero().flatten()
+        band = _Band(seen, PixelSample.gather(seen, part, places), Grid(inside[first:last]), used)
+        found = _solve(band, material)
         if rows >= height:
             return found
-        for name, value in found.items():
-            if name not in whole:
-                whole[name] = value.new_zeros(len(value), *inside.shape)
-            whole[name][:, top:bottom] = value[:, top - first : bottom - first]
+        if whole is None:
+            whole = SolvedMaps(*(value.new_zeros(len(value), *inside.shape) for value in found.tensors()))
+        for target, value in zip(whole.tensors(), found.tensors(), strict=True):
+            target[:, top:bottom] = value[:, top - first : bottom - first]
+    assert whole is not None  # masks are not empty
     return whole
 
 
 def band_height(count: int, inside: Tensor) -> int:
-    """Rows that are solved together."""
+    """Rows that are solved together under so many lights."""
     pixels = (BAND if inside.device.type == "cpu" else BAND_ACCELERATOR) // count
     return max(4 * OVERLAP, pixels // inside.shape[1])
 
 
-def _solve(images: Tensor, lights: Tensor, inside: Tensor, material: Material, used: str) -> dict[str, Tensor]:
-    """Maps (C, H, W) of one band; ``albedo_grey`` is what the grey observations say."""
-    grid = Grid(inside)
-    grey = gather(images, inside.flatten())
-    rays = LightDirections.of(gather_directions(lights, inside.flatten()).to(grey))
-    if not material.varied:
-        return _draw(_fit(grey, rays, material, used, grid), grey, images, rays, material, used, grid)
+def _solve(band: _Band, material: Material) -> SolvedMaps:
+    """Maps of one band."""
+    if not material.roughness_varies:
+        return _draw(_fit(band, material), band, material)
     maps, costs = [], []
     for level in track(at_levels(material), "roughness"):
-        fitted = _fit(grey, rays, level, used, grid)
-        maps.append(_draw(fitted, grey, images, rays, level, used, grid))
-        costs.append(level_cost(fitted, grey, rays, level))
-    return blend(maps, torch.stack(costs), grid)
+        fitted = _fit(band, level)
+        maps.append(_draw(fitted, band, level))
+        costs.append(level_cost(fitted, band.sample, level))
+    return blend(maps, torch.stack(costs), band.grid)
 
 
-def _draw(
-    fitted: PixelFit, grey: Tensor, images: Tensor, rays: LightDirections, material: Material, used: str, grid: Grid
-) -> dict[str, Tensor]:
-    """Maps (C, H, W) of a fit."""
-    albedo, strengths = _colours(fitted, grey, images, grid.mask, rays, material, used)
-    spread = _spread(fitted, grey, rays, material, used, grid)
-
-    maps = {
-        "normal": grid.draw(fitted.normal),
-        "albedo": grid.draw(albedo),
-        "albedo_grey": grid.draw(fitted.albedo),
-        "residual": grid.draw(fitted.residual),
-        "roughness": grid.draw(torch.full_like(fitted.albedo, material.roughness)),
-        "confidence": grid.draw(1 / (1 + (spread / math.radians(2)) ** 2)),
-    }
-    if material.exponents:
-        scale = strengths.new_tensor([8 / (exponent + 8) for exponent in material.exponents])  # blinn_phong's factor
-        maps["specular"] = grid.draw((strengths * scale[:, None]).flatten(1))
-    return maps
-
-
-def _fit(grey: Tensor, rays: LightDirections, material: Material, used: str, grid: Grid) -> PixelFit:
+def _fit(band: _Band, material: Material) -> PixelFit:
     """All pixels: from Lambert, with lobes from other starts too, then with the neighbours; or plain least squares."""
-    if used == "all":
-        return robust_fit.least_squares(grey, rays)
-    fitted = robust_fit.fit(grey, rays, Material(), used="middle", show="solving")
-    if used == "lit":
-        fits = [robust_fit.fit(grey, rays, material, start=fitted, show="solving")]
+    sample, grid = band.sample, band.grid
+    if band.used == "all":
+        return robust_fit.least_squares(sample)
+    fitted = robust_fit.fit(sample, Material(), used="middle", progress="solving")
+    if band.used == "lit":
+        fits = [robust_fit.fit(sample, material, start=fitted, progress="solving")]
         if material.exponents:
-            fits += [robust_fit.fit(grey, rays, material, start=s, show="solving") for s in ("dim", "highlight")]
-        fitted = fits[0] if len(fits) == 1 else _take_best(fits, grey, rays, material, grid)
+            fits.append(robust_fit.fit(sample, material, start="dim", progress="solving"))
+            fits.append(robust_fit.fit(sample, material, start="highlight", progress="solving"))
+        fitted = fits[0] if len(fits) == 1 else _pick_consistent(fits, band, material)
     for _ in track(range(SWEEPS), "smoothing", SWEEPS):
-        near = neighbourhood_normals(fitted.normal, fitted.noise, grid)
-        fitted = robust_fit.fit(grey, rays, material, used=used, steps=1, start=fitted, toward=near)
+        neighbours = neighbourhood_normals(fitted.normal, fitted.noise, grid)
+        fitted = robust_fit.fit(sample, material, used=band.used, steps=1, start=fitted, neighbours=neighbours)
     return fitted
 
 
-def _take_best(
-    fits: Sequence[PixelFit], grey: Tensor, rays: LightDirections, material: Material, grid: Grid
-) -> PixelFit:
+def _pick_consistent(fits: Sequence[PixelFit], band: _Band, material: Material) -> PixelFit:
     """For every pixel the fit of low cost that agrees with the neighbours."""
     noise = torch.stack([f.noise for f in fits]).amin(0)
-    costs = [robust_fit.common_cost(f, noise, grey, rays, material) for f in fits]
-    return robust_fit.take(fits, agree([f.normal for f in fits], costs, grid))
+    costs = [robust_fit.common_cost(f, noise, band.sample, material) for f in fits]
+    return PixelFit.pick(fits, choose_consistent([f.normal for f in fits], costs, band.grid))
 
 
-def _colours(
-    fitted: PixelFit, grey: Tensor, images: Tensor, inside: Tensor, rays: LightDirections, material: Material, used: str
-) -> tuple[Tensor, Tensor]:
+def _draw(fitted: PixelFit, band: _Band, material: Material) -> SolvedMaps:
+    """Maps of a fit."""
+    albedo, strengths = _channels(fitted, band, material)
+    draw, specular = band.grid.draw, None
+    if material.exponents:
+        scale = strengths.new_tensor([8 / (exponent + 8) for exponent in material.exponents])  # blinn_phong's factor
+        specular = draw((strengths * scale[:, None]).flatten(1))
+    return SolvedMaps(
+        normal=draw(fitted.normal),
+        albedo=draw(albedo),
+        albedo_grey=draw(fitted.albedo),
+        residual=draw(fitted.residual),
+        confidence=draw(confidence_from_error(_standard_error(fitted, band, material))),
+        roughness=draw(torch.full_like(fitted.albedo, material.roughness)),
+        specular=specular,
+    )
+
+
+def _channels(fitted: PixelFit, band: _Band, material: Material) -> tuple[Tensor, Tensor]:
     """Albedo (P, C) and strengths of lobes (P, L, C)."""
-    place = inside.flatten().nonzero().flatten()
-    flat = images.flatten(2)
+    flat, sample = band.images.flatten(2), band.sample
 
     def work(part: slice) -> tuple[Tensor, Tensor]:
-        channels = flat.index_select(2, place[part]).permute(2, 0, 1).to(grey)
-        return robust_fit.colour(fitted[part], grey[part], channels, rays.at(part), material, used)
+        channels = flat.index_select(2, sample.places[part]).permute(2, 0, 1).to(sample.grey)
+        return fit_channels(fitted[part], sample[part], channels, material, band.used)
 
-    albedo, lobes = zip(*robust_fit.side_by_side(work, robust_fit.chunks(grey)), strict=True)
+    albedo, lobes = zip(*robust_fit.map_chunks(work, robust_fit.chunks(sample.grey)), strict=True)
     return torch.cat(albedo), torch.cat(lobes)
 
 
-def _spread(fitted: PixelFit, grey: Tensor, rays: LightDirections, material: Material, used: str, grid: Grid) -> Tensor:
+def _standard_error(fitted: PixelFit, band: _Band, material: Material) -> Tensor:
     """Standard error of the normal in radians, (P, 1); misfit that neighbours share counts as one observation."""
 
     def residuals(part: slice) -> Tensor:
-        some = fitted[part]
-        predicted = robust_fit.predict(some, rays.at(part), material)
-        root = robust_fit.weights(some, grey[part], predicted, used).sqrt()
-        return (grey[part] - predicted) * root / robust_fit.mean_of(grey[part])
+        some, sample = fitted[part], band.sample[part]
+        predicted = robust_fit.predict(some, sample.directions, material)
+        root = robust_fit.weights(some, sample.grey, predicted, band.used).sqrt()
+        return (sample.grey - predicted) * root / mean_brightness(sample.grey)
 
-    shared = shared_misfit(residuals, grid, len(grey))
-    return fitted.spread * (1 + shared * (len(rays) - 1)).sqrt()
-
-
-def gather(images: Tensor, where: Tensor) -> Tensor:
-    """Grey observations, (P, K), float32 or float64; ``where`` picks P of the H W pixels, as bool or indices."""
-    seen = [image.flatten(1)[:, where].to(working_dtype(images.dtype)).mean(0) for image in images]
-    return torch.stack(seen, 1)
-
-
-def gather_directions(lights: Tensor, where: Tensor) -> Tensor:
-    """Unit directions to the lights, (K, 3), or of a map those at P of its pixels, (P, K, 3)."""
-    directions = lights if lights.ndim == 2 else lights.flatten(2)[:, :, where].permute(2, 0, 1)
-    check_unit("lights", directions, directions.ndim - 1, gaps=False)
-    return directions
+    shared = shared_misfit(residuals, band.grid, len(band.sample))
+    return fitted.spread * (1 + shared * (len(band.sample.directions) - 1)).sqrt()

@@ -1,7 +1,8 @@
-"""A small network that reads one pixel under any number of lights, in any order, and tells its normal.
+"""A small network that estimates a pixel's normal from its observations under any number of lights, in any order.
 
-Every light is a token of twelve numbers. Lights are first turned about the viewing axis so that a robust Lambertian
-normal leans to the right, and the answer is turned back: turning the scene turns the answer, exactly.
+Every light is a token of twelve numbers. The lights are first rotated about the viewing axis so that a robust
+Lambertian normal has an azimuth of 0, and the estimate is rotated back: the network is equivariant to rotations about
+that axis.
 """
 
 from __future__ import annotations
@@ -15,31 +16,41 @@ from torch import Tensor, nn
 
 from ..core.errors import FileError
 from ..core.files import atomic_path
-from .robust_fit import solve_symmetric, upward
+from .linear_systems import camera_facing, solve_symmetric
+from .robust_stats import MAD_TO_SIGMA, MIDDLE_RANKS, SHADOW, geman_mcclure
 
 FEATURES = 12
+"""Numbers of a token; `make_tokens` lists them."""
 ROUNDS = 2
-"""Of reweighting, before the network looks."""
+"""Reweighted solutions of the robust Lambertian normal that the network starts from. Set by hand; the weights that ship
+were trained with it."""
+START_NOISE = 0.02
+"""Least standard deviation of the residuals in these, as a share of the pixel's mean. Set by hand; not `NOISE_FLOOR` of
+`robust_stats`, because the weights that ship were trained with it."""
 WEIGHTS = Path(__file__).with_name("set_network.pt")
-"""What `examples/train_photometric_stereo.py` wrote."""
+"""File of the weights that ship, written by ``examples/train_photometric_stereo.py``."""
 
 
 class Tokens(NamedTuple):
-    """What the network reads.
+    """Input of the network.
 
     Attributes:
         values: (P, K, 12).
-        start: (P, 3), the robust Lambertian normal, turned so that its y is 0.
-        turn: (P, 2), cosine and sine of its azimuth.
+        start: (P, 3), the robust Lambertian normal, rotated so that its y is 0.
+        azimuth: (P, 2), cosine and sine of its azimuth before that.
     """
 
     values: Tensor
     start: Tensor
-    turn: Tensor
+    azimuth: Tensor
 
 
 class SetNetwork(nn.Module):
-    """Normals and their errors from pixels under sets of lights; the order of the lights does not matter."""
+    """Normals and their expected errors from pixels under sets of lights; invariant to the order of the lights.
+
+    The layers' names are those in files of weights: ``mend`` outputs the correction of the robust Lambertian normal,
+    ``doubt`` the logarithm of the expected error; `_Block` has its own in its docstring.
+    """
 
     def __init__(self, width: int = 64, blocks: int = 4, heads: int = 4) -> None:
         super().__init__()
@@ -53,7 +64,7 @@ class SetNetwork(nn.Module):
         )  # fmt: skip
         self.mend = nn.Linear(2 * width, 3)
         self.doubt = nn.Sequential(nn.Linear(2 * width, 64), nn.ReLU(), nn.Linear(64, 1))
-        nn.init.zeros_(self.mend.weight)  # it begins as least squares
+        nn.init.zeros_(self.mend.weight)  # untrained it returns the robust Lambertian normal
         nn.init.zeros_(self.mend.bias)
 
     def forward(self, observed: Tensor, lights: Tensor) -> tuple[Tensor, Tensor]:
@@ -69,9 +80,9 @@ class SetNetwork(nn.Module):
         return self.read(make_tokens(observed, lights))
 
     def read(self, tokens: Tokens) -> tuple[Tensor, Tensor]:
-        """As `forward`, of what `make_tokens` made: this part alone may run in half precision."""
+        """`forward` from tokens; this part alone may run in half precision."""
         pixels, count = tokens.values.shape[:2]
-        # Tokens in a row, so that a graph's products of matrices take the bias along.
+        # One axis for all tokens, so that a graph fuses matrix products with their biases.
         x = self.embed(tokens.values.reshape(pixels * count, FEATURES))
         for block in self.blocks:
             x = block(x, pixels, count)
@@ -81,13 +92,15 @@ class SetNetwork(nn.Module):
         pooled = self.norm(torch.cat(((parts * share[..., None]).sum(1).flatten(1), x.amax(1)), 1))
         normal = F.normalize(tokens.start + self.mend(self.head(pooled)), dim=1)
         error = self.doubt(pooled.detach()).clamp(-8, 1).exp()
-        return _turn_back(normal, tokens.turn), error
+        return _rotated_back(normal, tokens.azimuth), error
 
 
 class _Block(nn.Module):
-    """Every token hears the mean and the largest of all, then thinks for itself.
+    """A residual block: every token receives the mean and the maximum over all tokens, then passes through an MLP.
 
-    Only what pixels say as a whole is normalised: to normalise every token would cost as much as its products.
+    ``tell`` makes what is pooled, ``hear`` reads the pooled values, ``think`` is the MLP.
+
+    Only the pooled values are normalised: normalising every token would cost as much as its matrix products.
     """
 
     def __init__(self, width: int) -> None:
@@ -98,27 +111,39 @@ class _Block(nn.Module):
 
     def forward(self, x: Tensor, pixels: int, count: int) -> Tensor:
         width = x.shape[1]
-        told = F.relu(self.tell(x)).reshape(pixels, count, width)
-        heard = self.hear(self.norm(torch.cat((told.mean(1), told.amax(1)), 1)))[:, None]
-        x = (x.reshape(pixels, count, width) + heard).reshape(pixels * count, width)
-        thought: Tensor = x + self.think(x)
-        return thought
+        sent = F.relu(self.tell(x)).reshape(pixels, count, width)
+        received = self.hear(self.norm(torch.cat((sent.mean(1), sent.amax(1)), 1)))[:, None]
+        x = (x.reshape(pixels, count, width) + received).reshape(pixels * count, width)
+        result: Tensor = x + self.think(x)
+        return result
 
 
 def make_tokens(observed: Tensor, lights: Tensor) -> Tokens:
-    """Twelve numbers for every light of every pixel."""
+    """Twelve numbers for every light of every pixel.
+
+    They are: the rotated direction to the light (3), the observation over the pixel's mean less 1, half the logarithm
+    of that ratio, the observation over the brightest one, the residual of the robust Lambertian fit, the cosine of
+    incidence, a term that is largest where a highlight would be, the observation's rank, and x and z of the rotated
+    Lambertian normal.
+
+    Args:
+        observed: (P, K), grey, linear, in any unit.
+        lights: (K, 3) or (P, K, 3), unit.
+    """
     lights = lights.expand(observed.shape[0], -1, -1) if lights.ndim == 2 else lights
     mean = observed.mean(1, keepdim=True).clamp_min(1e-9)
     ratio = (observed / mean).clamp(0, 6)
     rank = _ranks(observed)
-    lit = ratio > 0.08 * ratio.amax(1, keepdim=True)
-    vector = _robust(ratio, lights, torch.where((rank > 0.2) & (rank < 0.8) & lit, 1.0, 0.02))
+    lit = ratio > SHADOW * ratio.amax(1, keepdim=True)
+    vector = _robust_lambert(
+        ratio, lights, torch.where((rank > MIDDLE_RANKS[0]) & (rank < MIDDLE_RANKS[1]) & lit, 1.0, 0.02)
+    )
     length = vector.norm(dim=1, keepdim=True).clamp_min(1e-6)
-    normal = upward(vector)
+    normal = camera_facing(vector)
     flat = normal[:, :2].norm(dim=1, keepdim=True)
     right = normal.new_tensor((1.0, 0.0)).expand(normal.shape[0], 2)
-    turn = torch.where(flat > 1e-6, normal[:, :2] / flat.clamp_min(1e-6), right)
-    c, s = turn[:, :1], turn[:, 1:]
+    azimuth = torch.where(flat > 1e-6, normal[:, :2] / flat.clamp_min(1e-6), right)
+    c, s = azimuth[:, :1], azimuth[:, 1:]
     x, y, z = lights.unbind(2)
     turned = torch.stack((c * x + s * y, c * y - s * x, z), 2)
     start = torch.cat((flat, torch.zeros_like(flat), normal[:, 2:]), 1)
@@ -136,34 +161,36 @@ def make_tokens(observed: Tensor, lights: Tensor) -> Tokens:
         start[:, :1].expand_as(ci),
         start[:, 2:].expand_as(ci),
     )
-    return Tokens(torch.stack(values, 2), start, turn)
+    return Tokens(torch.stack(values, 2), start, azimuth)
 
 
 def _ranks(observed: Tensor) -> Tensor:
-    """Share of the other lights under which the pixel is darker; equals count half, so that no order of lights matters.
+    """Share of the lights under which the pixel is darker, (P, K); ties count half, so that no order of lights matters.
 
-    Every pair is compared: dearer than to sort, but a sort would need the ties told apart, and graphs have this too.
+    All pairs are compared: that costs more than sorting, but sorting would order ties, and graphs have this operation.
     """
-    ahead = (observed[:, :, None] - observed[:, None, :]).sign().sum(2)  # darker ones less brighter ones
+    ahead = (observed[:, :, None] - observed[:, None, :]).sign().sum(2)  # number of darker ones less brighter ones
     return 0.5 + ahead / (2 * observed.shape[1])
 
 
-def _robust(ratio: Tensor, lights: Tensor, weight: Tensor) -> Tensor:
-    """Albedo times normal, (P, 3): least squares, then some rounds in which what fits badly counts less."""
+def _robust_lambert(ratio: Tensor, lights: Tensor, weight: Tensor) -> Tensor:
+    """Albedo times normal, (P, 3): weighted least squares, then `ROUNDS` solutions with Geman-McClure weights."""
     vector = _least_squares(ratio, lights, weight)
-    half = (torch.ones_like(ratio).sum(1, keepdim=True) / 2).long()  # a size is not to be asked for in a graph
+    half = (
+        torch.ones_like(ratio).sum(1, keepdim=True) / 2
+    ).long()  # counted from the tensor, so that a graph does not fix it
     for _ in range(ROUNDS):
         shown = (lights * vector[:, None]).sum(2)
         missed = (ratio - shown.clamp_min(0)).abs()
         middle = missed.sort(1)[0].gather(1, half)
-        share = missed / (2 * (1.4826 * middle).clamp_min(0.02))
-        # What is left is solved for, so that nothing but what is left gets rounded.
-        vector = vector + _least_squares(ratio - shown, lights, weight / (1 + share * share) ** 2)
+        reweighted = geman_mcclure(weight, missed, (MAD_TO_SIGMA * middle).clamp_min(START_NOISE))
+        # Solving for the correction, not for the vector, keeps rounding errors in proportion to it.
+        vector = vector + _least_squares(ratio - shown, lights, reweighted)
     return vector
 
 
 def _least_squares(ratio: Tensor, lights: Tensor, weight: Tensor) -> Tensor:
-    """Albedo times normal, (P, 3)."""
+    """Albedo times normal, (P, 3); `linear_systems.weighted_lambert` says why this is another function."""
     weighted = lights * weight[..., None]
     gram = weighted.transpose(1, 2) @ lights
     rows = [[gram[:, i, j] + (1e-6 if i == j else 0) for j in range(3)] for i in range(3)]
@@ -171,24 +198,25 @@ def _least_squares(ratio: Tensor, lights: Tensor, weight: Tensor) -> Tensor:
     return torch.stack(solve_symmetric(rows, list(right.unbind(1))), 1)
 
 
-def _turn_back(normal: Tensor, turn: Tensor) -> Tensor:
-    c, s = turn[:, :1], turn[:, 1:]
+def _rotated_back(normal: Tensor, azimuth: Tensor) -> Tensor:
+    """Normals rotated about the viewing axis by the azimuth whose cosine and sine are ``azimuth``, (P, 3)."""
+    c, s = azimuth[:, :1], azimuth[:, 1:]
     x, y, z = normal.split(1, dim=1)
     return torch.cat((c * x - s * y, s * x + c * y, z), 1)
 
 
 def save_network(path: str | Path, network: SetNetwork) -> None:
-    """Shape and weights, in half precision: what `load_network` reads."""
+    """Write shape and weights, these in half precision, to the file that `load_network` reads."""
     weights = {name: value.detach().cpu().half() for name, value in network.state_dict().items()}
     with atomic_path(Path(path)) as temporary:
         torch.save({"shape": network.shape, "weights": weights}, temporary)
 
 
 def load_network(path: str | Path = WEIGHTS) -> SetNetwork:
-    """The network that ships with the package, or another one of its kind.
+    """The network that ships with the package, or another one that `save_network` wrote.
 
     Raises:
-        FileError: no such file, or not such a network.
+        FileError: no such file, or one that holds no such network.
 
     Example:
         >>> import torch, torch_orennayar as ton
@@ -199,9 +227,9 @@ def load_network(path: str | Path = WEIGHTS) -> SetNetwork:
         True
     """
     try:
-        held: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
-        network = SetNetwork(**held["shape"])
-        network.load_state_dict({name: value.float() for name, value in held["weights"].items()})
+        saved: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
+        network = SetNetwork(**saved["shape"])
+        network.load_state_dict({name: value.float() for name, value in saved["weights"].items()})
     except Exception as error:  # torch raises many kinds for what is no checkpoint
         raise FileError(
             str(path), expected="a network of save_network", got=f"{type(error).__name__}: {error}", mend="train it"

@@ -1,0 +1,51 @@
+"""Tables of the renderer."""
+
+from __future__ import annotations
+
+from scripts.benchmarks.markdown import NOTHING, short, table
+from scripts.benchmarks.record import load_section
+
+RENDERER = "benchmark_renderer"
+TARGETS = {"20480 triangles": "llvmpipe (OpenGL)", "327680 triangles": "Mitsuba 3 (LLVM)"}
+"""The renderer whose time is aimed at, by the mesh."""
+
+
+def comparison() -> str:
+    """Milliseconds of every renderer."""
+    section = load_section(RENDERER, "comparison")
+    names = list(dict.fromkeys(name for rows in section.results.values() for name in rows))
+    body = []
+    for title, rows in section.results.items():
+        target = next((name for mesh, name in TARGETS.items() if title.startswith(mesh)), "")
+        ratio = rows.get(target, {}).get("ours over it")
+        cells = [short(rows.get(name, {}).get("ms"), 3) for name in names]
+        body.append([title, *cells, f"{target}: {short(ratio)} times its time" if ratio else NOTHING])
+    return f"{section.source}\n\n{table(['milliseconds', *names, 'target'], body)}"
+
+
+def accuracy() -> str:
+    """Mean error of the normals of every renderer."""
+    section = load_section(RENDERER, "accuracy")
+    shapes = list(dict.fromkeys((row["shape"], row["triangles"]) for row in section.results))
+    found = {(r["renderer"], r["shape"], r["triangles"]): r["degrees"] for r in section.results}
+    names = list(dict.fromkeys(row["renderer"] for row in section.results))
+    rows = [[name, *(short(found.get((name, *shape))) for shape in shapes)] for name in names]
+    header = ["mean error of normals in degrees", *(f"{shape}, {count:,} triangles" for shape, count in shapes)]
+    return f"{section.source}\n\n{table(header, rows)}"
+
+
+def steps() -> str:
+    """Milliseconds of the steps, of batches, and peak memory."""
+    parts = []
+    for title, head in (("steps", "20,480 triangles at 512²"), ("batches", "batches at 128²")):
+        section = load_section(RENDERER, title)
+        rows = [[name, short(value, 3)] for name, value in section.results.items()]
+        parts.append(f"{section.source}\n\n{table([head, 'milliseconds'], rows)}")
+    return "\n\n".join(parts)
+
+
+def memory() -> str:
+    """Peak memory of a picture."""
+    section = load_section(RENDERER, "memory")
+    rows = [[name, short(value, 3)] for name, value in section.results.items()]
+    return f"{section.source}\n\n{table(['peak memory', 'MB'], rows)}"

@@ -1,0 +1,47 @@
+"""``orennayar export``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from ..core.files import check_output
+from ..core.progress import say
+from .options import Azimuth, Elevation, FieldOfView, ModelName, Size, make_camera
+
+Graph = Literal["shading", "renderer", "shaded_mesh", "stereo"]
+ExportModel = Literal[ModelName, "network"]
+
+
+def export(
+    path: Annotated[Path, typer.Argument(help="The .onnx file to write.")] = Path("out/shading.onnx"),
+    graph: Annotated[Graph, typer.Option(help="What to export.")] = "shading",
+    model: Annotated[ExportModel, typer.Option(help="Reflectance model; network: only for stereo.")] = "vcavity",
+    per_pixel_directions: Annotated[
+        bool, typer.Option("--per-pixel", help="Light and view are maps, one direction per pixel.")
+    ] = False,
+    half: Annotated[bool, typer.Option("--half", help="Inputs and outputs in float16.")] = False,
+    size: Size = 512,
+    azimuth: Azimuth = 0.0,
+    elevation: Elevation = 0.0,
+    fov: FieldOfView = None,
+) -> None:
+    """Write an ONNX graph and verify it; the last four options are a renderer's view of the unit sphere."""
+    import torch
+
+    from ..export.api import export_onnx
+
+    check_output(path.parent)
+    say("exporting and verifying" + (", about half a minute" if graph in ("renderer", "shaded_mesh") else ""))
+    export_onnx(
+        graph,
+        path,
+        model=model,
+        per_pixel_directions=per_pixel_directions,
+        camera=make_camera(azimuth, elevation, fov),
+        size=(size, size),
+        dtype=torch.float16 if half else torch.float32,
+    )
+    typer.echo(f"{path}: {path.stat().st_size / 1000:.0f} kB, equal to torch at every size tried")

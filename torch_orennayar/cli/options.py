@@ -1,0 +1,115 @@
+"""What several commands share: their options, the choices that help and completion list, vectors of three numbers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from ..core.errors import RangeError
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from ..geometry.camera import Camera
+
+# `MODELS` itself would make `orennayar --help` wait for torch; tests/cli/test_choices.py compares them.
+ModelName = Literal["lambert", "qualitative", "qualitative-0.57", "fujii", "full", "vcavity", "eon", "theory"]
+StereoModel = Literal["auto", ModelName, "network"]
+ShapeModel = Literal["auto", ModelName]
+Encoding = Literal["auto", "linear", "srgb"]
+
+Output = Annotated[Path, typer.Option("-o", "--output", help="Folder for the results.")]
+Seed = Annotated[int, typer.Option(help="Seed of everything drawn at random.", min=0, max=2**63 - 1)]
+Model = Annotated[ModelName, typer.Option(help="Reflectance model; `orennayar info` describes them.")]
+Roughness = Annotated[float, typer.Option(help="Roughness in degrees, 0 to 90.", min=0, max=90)]
+LightFile = Annotated[Path | None, typer.Option(help="Light file outside the folder.")]
+MaskFile = Annotated[Path | None, typer.Option(help="Mask image outside the folder; white is the object.")]
+EncodingOption = Annotated[Encoding, typer.Option(help="Encoding of the images; auto: 8-bit files are sRGB.")]
+Size = Annotated[int, typer.Option(help="Height and width in pixels.", min=1, max=4096)]
+Azimuth = Annotated[float, typer.Option(help="Degrees by which the camera moves to the right.", min=-360, max=360)]
+Elevation = Annotated[float, typer.Option(help="Degrees by which it rises.", min=-89, max=89)]
+FieldOfView = Annotated[
+    float | None, typer.Option(help="Vertical field of view in degrees; default: orthographic.", min=1, max=170)
+]
+Light = Annotated[str, typer.Option(metavar="X,Y,Z", help="Direction to the light: right, up, toward the viewer.")]
+
+VECTORS = ("--light", "--circle")
+"""Options that take three numbers, with commas or with spaces between them."""
+FRAME_RADIUS = 1.05
+"""Radius of the sphere that a view shows whole; meshes are scaled into the unit sphere, 5 % is margin."""
+
+
+def join_vectors(arguments: Sequence[str]) -> list[str]:
+    """Command-line words with every vector as one word: ``--light 0 0 1`` becomes ``--light=0,0,1``.
+
+    Example:
+        >>> from torch_orennayar.cli.options import join_vectors
+        >>> join_vectors(["photo.png", "--light", "-0.3", "0.4", "0.86", "-o", "out"])
+        ['photo.png', '--light=-0.3,0.4,0.86', '-o', 'out']
+    """
+    joined: list[str] = []
+    rest = list(arguments)
+    while rest:
+        option, equals, first = rest.pop(0).partition("=")
+        if option not in VECTORS:
+            joined.append(option + equals + first)
+            continue
+        words = first.rstrip(",").split(",") if equals else []
+        while rest and len(words) < 3 and _is_number(rest[0].rstrip(",")):
+            words.append(rest.pop(0).rstrip(","))
+        if not words and rest:
+            words.append(rest.pop(0))
+        joined.append(f"{option}={','.join(words)}" if words else option)
+    return joined
+
+
+def parse_vector(option: str, text: str) -> tuple[float, float, float]:
+    """Three finite numbers from ``X,Y,Z``.
+
+    Raises:
+        RangeError: anything else.
+    """
+    words = text.split(",")
+    if len(words) != 3 or not all(_is_number(word) for word in words):
+        raise RangeError(
+            option, expected="three numbers", got=repr(text), mend=f"write for example {option} 0.3,0.4,0.86"
+        )
+    x, y, z = (float(word) for word in words)
+    return x, y, z
+
+
+def parse_direction(option: str, text: str) -> Tensor:
+    """A unit vector (3,) from ``X,Y,Z``.
+
+    Raises:
+        RangeError: not three finite numbers, or all zero.
+    """
+    import torch
+
+    direction = torch.tensor(parse_vector(option, text))
+    if not bool(direction.norm() > 0):
+        raise RangeError(option, expected="a direction", got=text, mend="give three numbers, not all zero")
+    return torch.nn.functional.normalize(direction, dim=0)
+
+
+def make_camera(azimuth: float, elevation: float, fov: float | None) -> Camera:
+    """A camera that shows the unit sphere from a direction in degrees."""
+    from ..geometry.camera import Camera
+
+    a, e = math.radians(azimuth), math.radians(elevation)
+    toward = (math.sin(a) * math.cos(e), math.sin(e), math.cos(a) * math.cos(e))
+    if fov is None:
+        return Camera.orthographic(FRAME_RADIUS, eye=tuple(2 * x for x in toward))
+    distance = FRAME_RADIUS / math.sin(math.radians(fov) / 2)
+    return Camera.perspective(math.radians(fov), eye=tuple(distance * x for x in toward))
+
+
+def _is_number(word: str) -> bool:
+    try:
+        return math.isfinite(float(word))
+    except ValueError:
+        return False

@@ -1,0 +1,60 @@
+"""``orennayar shape``."""
+
+from __future__ import annotations
+
+import math
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ..core.files import check_output
+from .options import EncodingOption, Light, MaskFile, Output, ShapeModel, parse_direction
+
+
+def shape(
+    image: Annotated[Path, typer.Argument(help="One photograph of an object under one light.")],
+    light: Light,
+    output: Output = Path("out"),
+    roughness: Annotated[
+        float | None, typer.Option(help="Roughness in degrees, 0 to 90; default: estimated.", min=0, max=90)
+    ] = None,
+    albedo: Annotated[float | None, typer.Option(help="Albedo; default: estimated.", min=0)] = None,
+    ambient: Annotated[
+        float | None,
+        typer.Option(
+            help="Ambient light as a share of the light; default: estimated with a mask, else 0.", min=0, max=1
+        ),
+    ] = None,
+    mask: MaskFile = None,
+    model: Annotated[ShapeModel, typer.Option(help="Reflectance model; auto chooses.")] = "auto",
+    contour: Annotated[
+        bool, typer.Option(help="Whether the mask's edge is an occluding contour, where the surface turns away.")
+    ] = True,
+    encoding: EncodingOption = "auto",
+) -> None:
+    """One photograph under a known light in; depth, normals and a mesh out."""
+    from ..io.capture import load_photograph
+    from ..io.results import write_reconstruction
+    from ..shape.solver import shape_from_shading
+
+    check_output(output)
+    direction = parse_direction("--light", light)
+    loaded = load_photograph(image, direction, mask=mask, encoding=encoding)
+    begun = time.perf_counter()
+    found = shape_from_shading(
+        loaded.images[0],
+        direction,
+        loaded.mask,
+        albedo=albedo,
+        roughness=None if roughness is None else math.radians(roughness),
+        ambient=0.0 if ambient is None and mask is None else ambient,
+        model=model,
+        contour=contour and mask is not None,
+    )
+    seconds = time.perf_counter() - begun
+    written = write_reconstruction(output, found, loaded, title=image.stem, seconds=seconds)
+    for sentence in written.numbers["report"]:
+        typer.echo(sentence)
+    typer.echo(f"{seconds:.1f} s solving; open {output / 'report.html'}")

@@ -1,0 +1,89 @@
+"""The metadata of a graph: written at export, and read back from a file."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, TypedDict
+
+from .._version import __version__
+from ..core.errors import ExportError
+from ..core.optional import require
+
+if TYPE_CHECKING:
+    import onnx
+
+FRAME = "camera: x right, y up, z toward the viewer; row 0 is the top"
+"""The coordinate frame of every graph, as its metadata states it (design page 1)."""
+
+
+class GraphDescription(TypedDict):
+    """What an ONNX file contains.
+
+    Attributes:
+        bytes: size of the file.
+        opset: version of the operator set.
+        inputs: sizes by name, a name for each dynamic axis.
+        outputs: as ``inputs``.
+        operators: how often each operator occurs, inside loops too.
+        metadata: meaning and units.
+    """
+
+    bytes: int
+    opset: int
+    inputs: dict[str, list[str]]
+    outputs: dict[str, list[str]]
+    operators: dict[str, int]
+    metadata: dict[str, str]
+
+
+def describe_onnx(path: str | os.PathLike[str]) -> GraphDescription:
+    """Inputs, outputs, opset, operators, size and metadata of an ONNX file.
+
+    Raises:
+        ExportError: the file is missing or is not an ONNX graph.
+    """
+    require("onnx")
+    import onnx
+
+    file = Path(path)
+    try:
+        model = onnx.load(file)
+        onnx.checker.check_model(model)
+    except Exception as error:  # protobuf, checker and file errors have no common base class
+        raise ExportError(
+            str(file), expected="an ONNX file", got=f"{type(error).__name__}: {error}", mend="export it again"
+        ) from error
+    operators = list(_operators(model.graph))
+    return {
+        "bytes": file.stat().st_size,
+        "opset": model.opset_import[0].version,
+        "inputs": _axes(model.graph.input),
+        "outputs": _axes(model.graph.output),
+        "operators": {name: operators.count(name) for name in sorted(set(operators))},
+        "metadata": {entry.key: entry.value for entry in model.metadata_props},
+    }
+
+
+def write_metadata(graph: onnx.ModelProto, metadata: Mapping[str, str]) -> None:
+    """Write ``metadata``, the coordinate frame and the version of this package into ``graph``."""
+    import onnx
+
+    onnx.helper.set_model_props(graph, {"torch_orennayar": __version__, "frame": FRAME, **metadata})
+    graph.producer_name = "torch_orennayar"
+    graph.producer_version = __version__
+
+
+def _axes(values: Iterable[onnx.ValueInfoProto]) -> dict[str, list[str]]:
+    """The size of every axis, or its name where it is dynamic."""
+    return {v.name: [d.dim_param or str(d.dim_value) for d in v.type.tensor_type.shape.dim] for v in values}
+
+
+def _operators(graph: onnx.GraphProto) -> Iterator[str]:
+    """The operator of every node, inside loops too."""
+    for node in graph.node:
+        yield node.op_type
+        for attribute in node.attribute:
+            if attribute.HasField("g"):
+                yield from _operators(attribute.g)

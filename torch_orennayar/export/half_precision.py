@@ -1,0 +1,49 @@
+"""Half precision at the inputs and outputs of a graph."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import onnx
+
+
+def to_half(graph: onnx.ModelProto) -> None:
+    """Make floating-point inputs and outputs float16, in place; the nodes between them compute in float32."""
+    from onnx import TensorProto, helper
+
+    inputs, outputs = _narrow(graph.graph.input), _narrow(graph.graph.output)
+    _rename(graph.graph.node, inputs | outputs)
+    before = [
+        helper.make_node("Cast", [half], [single], name=f"widen_{half}", to=TensorProto.FLOAT)
+        for half, single in inputs.items()
+    ]
+    after = [
+        helper.make_node("Cast", [single], [half], name=f"narrow_{half}", to=TensorProto.FLOAT16)
+        for half, single in outputs.items()
+    ]
+    nodes = [*before, *graph.graph.node, *after]
+    del graph.graph.node[:]
+    graph.graph.node.extend(nodes)
+
+
+def _narrow(values: Iterable[onnx.ValueInfoProto]) -> dict[str, str]:
+    """Declare float32 values as float16; the name of each with the new name of its float32 counterpart."""
+    from onnx import TensorProto
+
+    single = [v for v in values if v.type.tensor_type.elem_type == TensorProto.FLOAT]
+    for value in single:
+        value.type.tensor_type.elem_type = TensorProto.FLOAT16
+    return {v.name: f"{v.name}_float32" for v in single}
+
+
+def _rename(nodes: Iterable[onnx.NodeProto], names: Mapping[str, str]) -> None:
+    """Rename the values that nodes read and write, in the bodies of loops too, which can read outer values."""
+    for node in nodes:
+        for listed in (node.input, node.output):
+            for k, name in enumerate(listed):
+                listed[k] = names.get(name, name)
+        for attribute in node.attribute:
+            if attribute.HasField("g"):
+                _rename(attribute.g.node, names)

@@ -1,0 +1,67 @@
+"""Pixels picked from photographs: their grey observations, the directions to their lights, and where they lie."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from ..core.checks import check_unit
+from ..shading.precision import working_dtype
+from .material import LightDirections
+
+SAMPLE_PIXELS = 2500
+"""Pixels of a sample on which the material, its numbers and the light between parts of a surface are decided. Set by
+hand."""
+
+
+@dataclass(frozen=True)
+class PixelSample:
+    """P pixels under K lights.
+
+    Attributes:
+        grey: (P, K) mean of the channels, float32 or float64.
+        directions: to the lights.
+        places: (P,) index of each pixel in the flattened picture.
+        width: of that picture, pixels.
+    """
+
+    grey: Tensor
+    directions: LightDirections
+    places: Tensor
+    width: int
+
+    @staticmethod
+    def gather(images: Tensor, lights: Tensor, places: Tensor) -> PixelSample:
+        """The pixels of ``images`` (K, C, H, W) at ``places`` (P,); ``lights`` are (K, 3) or (K, 3, H, W)."""
+        grey = gather_grey(images, places)
+        directions = LightDirections.of(gather_directions(lights, places).to(grey))
+        return PixelSample(grey, directions, places, images.shape[3])
+
+    def __len__(self) -> int:
+        return len(self.grey)
+
+    def __getitem__(self, part: slice | Tensor) -> PixelSample:
+        return PixelSample(self.grey[part], self.directions.at(part), self.places[part], self.width)
+
+    def under(self, lights: Tensor) -> PixelSample:
+        """The pixels under some of the lights, (K,) bool."""
+        return replace(self, grey=self.grey[:, lights].contiguous(), directions=self.directions.under(lights))
+
+    def rows_and_columns(self) -> Tensor:
+        """Where the pixels lie, (P, 2)."""
+        return torch.stack((self.places // self.width, self.places % self.width), 1)
+
+
+def gather_grey(images: Tensor, where: Tensor) -> Tensor:
+    """Grey observations, (P, K), float32 or float64; ``where`` picks P of the H W pixels, as bool or indices."""
+    seen = [image.flatten(1)[:, where].to(working_dtype(images.dtype)).mean(0) for image in images]
+    return torch.stack(seen, 1)
+
+
+def gather_directions(lights: Tensor, where: Tensor) -> Tensor:
+    """Unit directions to the lights, (K, 3), or of a map those at P of its pixels, (P, K, 3)."""
+    directions = lights if lights.ndim == 2 else lights.flatten(2)[:, :, where].permute(2, 0, 1)
+    check_unit("lights", directions, directions.ndim - 1, gaps=False)
+    return directions
