@@ -13,7 +13,7 @@ CONSTRAINTS = ROOT / "scripts" / "constraints.txt"
 MINIMUM = (3, 10)
 
 
-def prepare(extra: str) -> Path:
+def prepare(extra: str = "all") -> Path:
     """Install the project with ``extra``, ``all`` or ``test``, unless that was done already; return its python."""
     if sys.version_info < MINIMUM:
         sys.exit(f"Python {MINIMUM[0]}.{MINIMUM[1]} or newer is needed, this is {sys.version.split()[0]}")

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -8,7 +9,7 @@ import torch
 from hypothesis import settings
 from torch import Tensor
 
-from tests.support import rendered_captures
+from tests.support import rendered_captures, traced_graphs
 from tests.support.objects import Scene
 from torch_orennayar.io.capture import save_capture
 
@@ -23,6 +24,17 @@ def device(request: pytest.FixtureRequest) -> torch.device:
     if name == "cuda" and not torch.cuda.is_available():
         pytest.skip("no CUDA device")
     return torch.device(name)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def graphs_are_traced_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """In a folder that the run's processes share."""
+    base = tmp_path_factory.getbasetemp()
+    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "traced"
+    folder.mkdir(exist_ok=True)
+    with pytest.MonkeyPatch.context() as patch:
+        traced_graphs.share(patch, folder)
+        yield
 
 
 @pytest.fixture(scope="session")

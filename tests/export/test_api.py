@@ -9,6 +9,7 @@ import torch.nn.functional as F
 import trimesh
 
 from tests.support.objects import run_graph
+from tests.support.traced_graphs import CAMERA, SIZE
 from torch_orennayar import (
     MODELS,
     Camera,
@@ -166,16 +167,12 @@ def test_a_graph_that_differs_is_not_left_behind(tmp_path: Path, monkeypatch: py
 
 @pytest.fixture(scope="module", params=["orthographic", "perspective"])
 def renderer(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Path, Camera]:
-    """A renderer, and a renderer with shading behind it; at a size whose maps would not fit into the file."""
+    """A renderer, and a renderer with shading behind it."""
     path = tmp_path_factory.mktemp("graph") / f"{request.param}.onnx"
     if request.param == "orthographic":
-        camera = Camera.orthographic(1.05, (0.5, 0.6, 2.0))
-        return "renderer", export_onnx("renderer", path, camera=camera, size=SIZE), camera
+        return "renderer", export_onnx("renderer", path, camera=CAMERA, size=SIZE), CAMERA
     camera = Camera.perspective(1.6, (0.3, 0.4, 1.1))
     return "shaded_mesh", export_onnx("shaded_mesh", path, camera=camera, size=SIZE, model="vcavity"), camera
-
-
-SIZE = (384, 512)
 
 
 def render(path: Path, *inputs: torch.Tensor, threads: int = 0) -> dict[str, torch.Tensor]:

@@ -1,0 +1,66 @@
+"""Graphs that take long to trace are traced once in a run of the suite, whichever of its processes needs them first.
+
+What is done with them, the proof against torch included, stays with every test.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+
+import onnx
+import pytest
+from filelock import FileLock
+from torch import Tensor
+
+from torch_orennayar import MODELS, Camera
+from torch_orennayar.export import shading_graph
+from torch_orennayar.export.renderer_graph import Renderer
+
+CAMERA, SIZE = Camera.orthographic(1.05, (0.5, 0.6, 2.0)), (384, 512)
+"""What the tests of a renderer without shading share; at this size the camera's maps would not fit into the file."""
+
+
+BUILT_IN = frozenset(MODELS)
+
+
+def share(patch: pytest.MonkeyPatch, folder: Path) -> None:
+    """Let the builders of graphs look into ``folder`` first, and leave there what they trace."""
+    keys: dict[str, Callable[..., str | None]] = {
+        "renderer": _renderer_key,
+        "shading": _shading_key,
+        "stereo": str,
+        "network": lambda: "",
+    }
+    for name, key in keys.items():
+        module = import_module(f"torch_orennayar.export.{name}_graph")
+        patch.setattr(module, f"{name}_graph", _shared(getattr(module, f"{name}_graph"), key, folder))
+
+
+def _renderer_key(renderer: Renderer) -> str:
+    camera = {n: v.tolist() if isinstance(v, Tensor) else v for n, v in sorted(vars(renderer.camera).items())}
+    return f"{camera} {renderer.size} {renderer.model}"
+
+
+def _shading_key(model: str, *, per_pixel: bool) -> str | None:
+    """None for a model that a test registers: another test may use the name for another function."""
+    return f"{model} {per_pixel} {shading_graph.ROW_BAND_ELEMENTS}" if model in BUILT_IN else None
+
+
+def _shared(
+    trace: Callable[..., onnx.ModelProto], key: Callable[..., str | None], folder: Path
+) -> Callable[..., onnx.ModelProto]:
+    def read_or_trace(*what: object, **how: object) -> onnx.ModelProto:
+        known = key(*what, **how)
+        if known is None:
+            return trace(*what, **how)
+        name = hashlib.sha256(f"{trace.__name__} {known}".encode()).hexdigest()[:16]
+        file = folder / f"{name}.onnx"
+        with FileLock(folder / f"{name}.lock"):
+            if not file.exists():
+                file.write_bytes(trace(*what, **how).SerializeToString())
+        return onnx.load_model_from_string(file.read_bytes())
+
+    return read_or_trace
