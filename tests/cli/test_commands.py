@@ -159,7 +159,9 @@ def test_calibrate_writes_files_that_the_loader_reads(orennayar: Run, tmp_path: 
     circle = ("--circle", "40", "30", "25")
     result = orennayar("calibrate", "chrome", tmp_path / "chrome", "-o", tmp_path, *circle)
     assert result.status == 0, result.err
-    table = torch.tensor([[float(v) for v in row.split()] for row in (tmp_path / "light_directions.txt").open()])
+    table = torch.tensor(
+        [[float(v) for v in row.split()] for row in (tmp_path / "light_directions.txt").read_text().splitlines()]
+    )
     assert ((table * lights).sum(1).clamp(max=1).acos().rad2deg() < 1.5).all()
     result = orennayar("calibrate", "own", capture_folder, "-o", tmp_path)
     assert result.status == 0, result.err
