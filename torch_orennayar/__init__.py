@@ -30,7 +30,7 @@ if TYPE_CHECKING:  # what type checkers and editors read; at run time `__getattr
     from .geometry.metrics import AngularError, angular_error
     from .io.capture import Capture, load_capture
     from .io.images import decode_normals, encode_normals, linear_to_srgb, srgb_to_linear
-    from .reconstruction import Reconstruction
+    from .reconstruction import BatchReconstruction, Reconstruction
     from .reflectance.model_choice import ModelChoice, simplest_model
     from .reflectance.models import MODELS, Model, register_model, roughness_from_slope, slope_from_roughness
     from .reflectance.specular import blinn_phong, microfacet, phong
@@ -81,7 +81,10 @@ _HOMES = {
         "linear_to_srgb",
         "srgb_to_linear",
     ),
-    "reconstruction": ("Reconstruction",),
+    "reconstruction": (
+        "BatchReconstruction",
+        "Reconstruction",
+    ),
     "reflectance.model_choice": (
         "ModelChoice",
         "simplest_model",
@@ -126,6 +129,7 @@ _MODULE_OF = {name: module for module, names in _HOMES.items() for name in names
 __all__ = [
     "MODELS",
     "AngularError",
+    "BatchReconstruction",
     "Camera",
     "Capture",
     "CaptureError",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import NoReturn
 
 import torch
 from torch import Tensor
@@ -19,41 +19,35 @@ HALF_CONFIDENCE = math.radians(2)
 """Standard error of a normal, radians, at which its confidence is 1/2. Set by hand."""
 
 
-def confidence_from_error(error: Tensor) -> Tensor:
-    """Confidence in [0, 1] of normals with a standard error in radians; 0 for an infinite one."""
-    return 1 / (1 + (error / HALF_CONFIDENCE) ** 2)
-
-
 @dataclass(frozen=True)
 class Reconstruction:
-    """What a solver found; every tensor has B in front for batched input.
+    """What a solver found for one capture or picture; of a batch the solvers return a `BatchReconstruction`.
 
     Attributes:
         normal: (3, H, W) unit normals in the camera frame, 0 outside the mask.
         albedo: (C, H, W) linear, in the unit of the images, 0 outside the mask.
         roughness: (1, H, W) radians, 0 for a Lambertian result and outside the mask; one number, or a smooth map where
-            the photographs ask for it.
+            the photographs show that it differs.
         residual: (1, H, W) mean absolute difference of grey observation and model over all lights; light between parts
-            of the surface that was taken away (``report`` says so) is no longer in the observation.
+            of the surface that was removed (finding ``interreflection-removed``) is no longer in the observation.
         confidence: (1, H, W) in [0, 1]: ``1 / (1 + (e / 2 deg)**2)`` with e the standard error of the
             normal that the fit's curvature and residuals predict, where misfit that neighbours share counts
             as one observation; 0 outside the mask and where a pixel does not determine its normal.
-        model: the diffuse model in use (one per capture of a batch, as a tuple).
+        model: name of the diffuse model in use.
         scores: error of every kind of material on held-out lights as a share of the pixel's mean, plus a
             tenth of the angle (radians) between the normals of two fits, lower is better; empty where
-            nothing was chosen (one per capture of a batch, as a tuple).
-        report: what happened, one sentence each: pixels that could not be solved, warnings, the choice.
-        specular: (L, C, H, W) strengths of L `blinn_phong` lobes, or None; captures of a batch share the
-            larger L.
-        exponents: of the lobes (one tuple per capture of a batch; a lobe that a capture has not is 0).
-        falloff: exponent k of Minnaert's law, the diffuse part times ``(n.l n.v)**(k - 1)``; 1 for none (one
-            per capture of a batch, as a tuple).
+            nothing was chosen.
+        report: `Finding`s, one sentence each, with codes: the choice of a model, what the input does not determine,
+            pixels that could not be solved.
+        specular: (L, C, H, W) strengths of L `blinn_phong` lobes, or None.
+        exponents: of the L lobes.
+        falloff: exponent k of Minnaert's law, the diffuse part times ``(n.l n.v)**(k - 1)``; 1 for none.
         roughness_error: standard error of the roughness in radians (of a map: of a pixel's), by the fit's curvature and
-            by how far parts of the pixels differ; 0 without a roughness, infinite where these photographs do not tell
-            it (few lights, all near the view); one per capture of a batch, as a tuple.
-        depth: None from photometric stereo; `integrate_normals` gives it.
-        ambient: (1, H, W) light from all around as a share of the light, given or found, 0 outside the mask; `shade`
-            leaves it out. None from photometric stereo.
+            by how far parts of the pixels differ; 0 without a roughness, infinite where the photographs do not
+            determine it (few lights, or all near the view).
+        depth: (1, H, W); None from photometric stereo under distant lights, where `integrate_normals` gives it.
+        ambient: (1, H, W) light from all around as a share of the light, given or estimated, 0 outside the mask;
+            `shade` leaves it out. None from photometric stereo.
     """
 
     normal: Tensor
@@ -61,24 +55,27 @@ class Reconstruction:
     roughness: Tensor
     residual: Tensor
     confidence: Tensor
-    model: str | tuple[str, ...]
-    scores: dict[str, float] | tuple[dict[str, float], ...]
+    model: str
+    scores: dict[str, float]
     report: tuple[Finding, ...]
     specular: Tensor | None = None
-    exponents: tuple[Any, ...] = ()
-    falloff: float | tuple[float, ...] = 1.0
-    roughness_error: float | tuple[float, ...] = 0.0
+    exponents: tuple[float, ...] = ()
+    falloff: float = 1.0
+    roughness_error: float = 0.0
     depth: Tensor | None = None
     ambient: Tensor | None = None
 
     def shade(self, lights: Tensor) -> Tensor:
-        """Relight an unbatched result: what it shows under other distant lights, seen from the front.
+        """Relight the result: what it shows under other distant lights, seen from the front.
 
         Args:
             lights: (K, 3) unit directions, camera frame.
 
         Returns:
             (K, C, H, W) linear light, 0 outside the mask.
+
+        Raises:
+            ShapeError: the result is that of a batch.
 
         Example:
             >>> import torch, torch_orennayar as ton
@@ -87,8 +84,6 @@ class Reconstruction:
             >>> found.shade(lights[:1]).shape
             torch.Size([1, 1, 2, 2])
         """
-        if not isinstance(self.model, str) or not isinstance(self.falloff, float):
-            raise ShapeError("self", expected="one capture", got="a batch", mend="take the captures one by one")
         images = []
         for light in lights.to(self.normal):
             layer = OrenNayar(self.model)
@@ -104,7 +99,51 @@ class Reconstruction:
         return torch.stack(images)
 
 
-def stack(found: Sequence[Reconstruction]) -> Reconstruction:
+@dataclass(frozen=True)
+class BatchReconstruction(Reconstruction):
+    """What a solver found for a batch: every tensor has B in front, every other field is a tuple with one per capture.
+
+    Attributes:
+        model: one name per capture.
+        scores: one dictionary per capture.
+        report: all findings; their sentences begin with "capture b: ".
+        specular: (B, L, C, H, W), L the largest number of lobes; strengths of lobes that a capture lacks are 0.
+        exponents: one tuple per capture.
+        falloff: one exponent per capture.
+        roughness_error: radians, one per capture.
+
+    Example:
+        >>> import torch, torch_orennayar as ton
+        >>> lights = torch.nn.functional.normalize(torch.tensor([[0.0, 0, 1], [1, 0, 2], [-1, 1, 2]]), dim=-1)
+        >>> images = torch.full((2, 3, 1, 4, 4), 0.5)
+        >>> found = ton.photometric_stereo(images, lights.expand(2, 3, 3), model="lambert")
+        >>> isinstance(found, ton.BatchReconstruction), found.model, tuple(found.normal.shape)
+        (True, ('lambert', 'lambert'), (2, 3, 4, 4))
+    """
+
+    # A static type cannot tell a batch by its number of axes: the solvers' type is that of one capture, and who solves
+    # batches narrows it with isinstance.
+    model: tuple[str, ...]  # type: ignore[assignment]
+    scores: tuple[dict[str, float], ...]  # type: ignore[assignment]
+    exponents: tuple[tuple[float, ...], ...] = ()  # type: ignore[assignment]
+    falloff: tuple[float, ...] = ()  # type: ignore[assignment]
+    roughness_error: tuple[float, ...] = ()  # type: ignore[assignment]
+
+    def shade(self, lights: Tensor) -> NoReturn:
+        """A batch cannot be relit as one.
+
+        Raises:
+            ShapeError: always.
+        """
+        raise ShapeError("self", expected="one capture", got="a batch", mend="take the captures one by one")
+
+
+def confidence_from_error(error: Tensor) -> Tensor:
+    """Confidence in [0, 1] of normals with a standard error in radians; 0 for an infinite one."""
+    return 1 / (1 + (error / HALF_CONFIDENCE) ** 2)
+
+
+def stack(found: Sequence[Reconstruction]) -> BatchReconstruction:
     """Results of several captures of one size as a batch; captures with fewer lobes get lobes of strength 0."""
     most = max(len(r.exponents) for r in found)
     lobes = None
@@ -113,14 +152,25 @@ def stack(found: Sequence[Reconstruction]) -> Reconstruction:
         for row, r in zip(lobes, found, strict=True):
             if r.specular is not None:
                 row[: len(r.specular)] = r.specular
-    maps = ("normal", "albedo", "roughness", "residual", "confidence")
-    each = ("model", "scores", "exponents", "falloff", "roughness_error")
-    values: dict[str, Any] = {name: torch.stack([getattr(r, name) for r in found]) for name in maps}
-    values |= {name: tuple(getattr(r, name) for r in found) for name in each}
-    return Reconstruction(
-        **values,
-        specular=lobes,
+    depths = [r.depth for r in found if r.depth is not None]
+    ambients = [r.ambient for r in found if r.ambient is not None]
+    return BatchReconstruction(
+        normal=torch.stack([r.normal for r in found]),
+        albedo=torch.stack([r.albedo for r in found]),
+        roughness=torch.stack([r.roughness for r in found]),
+        residual=torch.stack([r.residual for r in found]),
+        confidence=torch.stack([r.confidence for r in found]),
+        model=tuple(r.model for r in found),
+        scores=tuple(r.scores for r in found),
         report=tuple(
-            Finding(f"capture {b}: {line}", line.code, line.value) for b, r in enumerate(found) for line in r.report
+            Finding(f"capture {b}: {finding}", finding.code, finding.value)
+            for b, r in enumerate(found)
+            for finding in r.report
         ),
+        specular=lobes,
+        exponents=tuple(r.exponents for r in found),
+        falloff=tuple(r.falloff for r in found),
+        roughness_error=tuple(r.roughness_error for r in found),
+        depth=torch.stack(depths) if len(depths) == len(found) else None,
+        ambient=torch.stack(ambients) if len(ambients) == len(found) else None,
     )
