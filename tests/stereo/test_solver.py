@@ -89,7 +89,6 @@ def test_auto_takes_the_simplest_sufficient_model(
     s: Scene = request.getfixturevalue(scene)
     found = solved[scene]
     assert found.model == wanted
-    assert isinstance(found.scores, dict)
     kinds = ("lambert", "lambert with falloff", "vcavity")
     assert set(found.scores) == {k + lobes for k in kinds for lobes in ("", " + 1 lobe", " + 2 lobes")}
     assert found.exponents == ()
@@ -151,7 +150,6 @@ def test_batch_is_one_after_the_other(rough: Scene, smooth: Scene, solved: dict[
     assert both.albedo.shape == (2, 3, 64, 64)
     alone = solved["rough"]
     assert torch.equal(both.normal[0], alone.normal)
-    assert isinstance(both.scores, tuple)
     assert both.scores[0] == alone.scores
     assert [(f.code, f.value) for f in both.report if f.startswith("capture 0: ")] == [
         (f.code, f.value) for f in alone.report
@@ -352,7 +350,6 @@ def test_glaze_is_recognised(glaze: tuple[rendered_captures.Rendered, Reconstruc
     """An interface that turns grazing light away: Minnaert's law is near it, and takes a third off the error."""
     scene, found = glaze
     assert found.model == "lambert"
-    assert isinstance(found.falloff, float)
     assert 1.02 < found.falloff < 1.2
     lambert = photometric_stereo(scene.images, scene.lights, scene.mask, model="lambert")
     assert mean_error(found, scene) < 0.7 * mean_error(lambert, scene)
@@ -414,7 +411,6 @@ def test_error_of_roughness_matches_repeated_noise(rough: Scene) -> None:
         noise = 0.02 * torch.randn(clean.shape, generator=torch.Generator().manual_seed(seed))
         result = photometric_stereo((clean + noise).clamp_min(0), rough.lights, part, model="vcavity")
         found.append(result.roughness.max())
-        assert isinstance(result.roughness_error, float)
         predicted.append(result.roughness_error)
     spread = torch.stack(found).std().item()
     assert 0.3 < spread / (sum(predicted) / 12) < 3
