@@ -39,7 +39,7 @@ def test_custom_reflectance_draws_and_exports(tmp_path: Path) -> None:
     import onnxruntime
 
     from torch_orennayar import MODELS, OrenNayar
-    from torch_orennayar.reflectance.models import _models
+    from torch_orennayar.reflectance.models import unregister_model
 
     example = load("custom_reflectance")
     try:
@@ -58,7 +58,7 @@ def test_custom_reflectance_draws_and_exports(tmp_path: Path) -> None:
         assert {"minnaert", "toon"} <= set(MODELS)
     finally:
         for name in ("minnaert", "toon"):
-            _models.pop(name, None)
+            unregister_model(name)
 
 
 def test_inverse_rendering_mends_the_lights(tmp_path: Path, rough: Scene) -> None:

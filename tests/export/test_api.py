@@ -26,7 +26,7 @@ from torch_orennayar import (
 from torch_orennayar.export import shading_graph, verify
 from torch_orennayar.export.describe import describe_onnx
 from torch_orennayar.geometry.mesh import normalise_mesh
-from torch_orennayar.reflectance.models import ModelFunction, _models
+from torch_orennayar.reflectance.models import ModelFunction, unregister_model
 
 
 def run(path: Path, **feeds: torch.Tensor) -> torch.Tensor:
@@ -95,7 +95,7 @@ def test_models_of_users_export_with_the_rounding_that_they_have(tmp_path: Path)
             register_model(name, formula)
             assert export_onnx("shading", tmp_path / f"{name}.onnx", model=name).exists()
         finally:
-            _models.pop(name, None)
+            unregister_model(name)
 
 
 @pytest.mark.parametrize("model", list(MODELS)[:7])

@@ -419,7 +419,7 @@ def test_gradients_do_not_depend_on_strides() -> None:
 
 
 def test_float16_gradients_saturate() -> None:
-    """Both directions a hair above the horizon, where the true gradient exceeds the format."""
+    """Both directions just above the horizon, where the true gradient exceeds the format."""
     grazing = torch.tensor([[1.0, 0, 6e-8]])
     for model in ALL:
         light, view = (grazing.half().requires_grad_() for _ in range(2))
