@@ -33,14 +33,9 @@ def fixed(value: float | None, decimals: int) -> str:
 
 
 def short(value: float | None, digits: int = 2) -> str:
-    """A number with so many significant digits, thousands separated; whole numbers in full.
-
-    Numbers below 1e-4 are written as powers of ten.
-    """
+    """A number with so many significant digits and thousands separated, never as a power of ten above 1e-4."""
     if value is None:
         return NOTHING
-    if isinstance(value, int):
-        return f"{value:,}"
     if value == 0:
         return "0"
     if abs(value) < 1e-4:

@@ -153,7 +153,7 @@ def command_line() -> str:
     begin = f"python -m {module}" if module else f"python {Path(sys.argv[0]).name}"
     data = os.environ.get("TORCH_ORENNAYAR_DATA")
     arguments = [a.replace(data, "$TORCH_ORENNAYAR_DATA") if data else a for a in sys.argv[1:]]
-    return " ".join([begin, *(f'"{a}"' if " " in a else a for a in arguments)])
+    return " ".join([begin, *arguments])
 
 
 def simplify(value: object) -> object:

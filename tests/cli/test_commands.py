@@ -12,7 +12,8 @@ from tests.support import height_fields
 from tests.support.command_line import Run
 from torch_orennayar import angular_error, decode_normals, load_capture, save_mesh
 from torch_orennayar.geometry.primitives import Ball, bumpy_ball
-from torch_orennayar.io.images import read_image, to_unit, write_image
+from torch_orennayar.io.images import read_image, write_image
+from torch_orennayar.io.picture import to_unit
 
 
 def test_stereo_writes_everything(orennayar: Run, capture_folder: Path, tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -159,3 +160,9 @@ def test_vertices_without_area_have_no_normal_and_finite_gradients() -> None:
 def test_normals_of_what_is_no_mesh(vertices: torch.Tensor, faces: torch.Tensor, error: type[Exception]) -> None:
     with pytest.raises(error):
         vertex_normals(vertices, faces)
+
+
+def test_a_mesh_whose_name_is_not_utf8(tmp_path: Path) -> None:
+    (tmp_path / os.fsdecode(b"m\xe9.obj")).write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    vertices, faces = load_mesh(tmp_path / os.fsdecode(b"m\xe9.obj"))
+    assert (len(vertices), faces.tolist()) == (3, [[0, 1, 2]])

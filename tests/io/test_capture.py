@@ -1,16 +1,19 @@
 from __future__ import annotations
 
+import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
 
 import cv2
 import numpy as np
+import PIL.Image
+import PIL.ImageCms
 import pytest
 import torch
 
 from tests.support.objects import Scene
-from torch_orennayar import FileError, RangeError, TorchOrenNayarError, load_capture
+from torch_orennayar import FileError, RangeError, TorchOrenNayarError, load_capture, srgb_to_linear
 from torch_orennayar.io.images import write_image
 
 
@@ -212,3 +215,63 @@ def test_own_intensities_of_a_capture(capture_folder: Path) -> None:
     found = load_capture(capture_folder).with_own_intensities()
     ratio = found.images.mean((1, 2, 3)) / plain.images.mean((1, 2, 3))
     assert (ratio / ratio.mean() - 1).abs().max() < 0.1
+
+
+def photographs(folder: Path, orientations: list[int], **options: object) -> torch.Tensor:
+    """Photographs of a gradient, stored turned as their Exif orientation says; the upright samples."""
+    upright = [np.arange(48, dtype=np.uint8).reshape(8, 6) * 4 + 10 * k for k in range(len(orientations))]
+    for k, (shown, orientation) in enumerate(zip(upright, orientations, strict=True)):
+        stored = {1: shown, 3: np.rot90(shown, 2), 6: np.rot90(shown), 8: np.rot90(shown, -1)}[orientation]
+        exif = PIL.Image.Exif()
+        exif[0x0112] = orientation
+        PIL.Image.fromarray(np.ascontiguousarray(stored)).save(
+            folder / f"{k}.png", "PNG", exif=exif.tobytes(), **options
+        )
+    directions = torch.nn.functional.normalize(torch.tensor([[0.0, 0, 1], [1, 0, 2], [0, 1, 2], [-1, 0, 2]]), dim=1)
+    np.savetxt(folder / "lights.txt", directions[: len(orientations)].numpy())
+    return torch.from_numpy(np.stack(upright)).float() / 255
+
+
+@pytest.mark.parametrize("orientation", [1, 3, 6, 8])
+def test_photographs_are_turned_upright_and_it_is_said(tmp_path: Path, orientation: int) -> None:
+    upright = photographs(tmp_path, [orientation] * 4)
+    capture = load_capture(tmp_path, encoding="linear")
+    assert torch.allclose(capture.images[:, 0], upright, atol=1e-6)
+    turned = [note.value for note in capture.notes if note.code == "turned-upright"]
+    assert turned == ([] if orientation == 1 else [orientation])
+
+
+def test_photographs_turned_differently_are_refused(tmp_path: Path) -> None:
+    photographs(tmp_path, [1, 1, 3, 3])
+    with pytest.raises(FileError, match="orientation 3"):
+        load_capture(tmp_path)
+
+
+def test_the_encoding_that_files_state_is_obeyed_unless_the_caller_says_another(tmp_path: Path) -> None:
+    srgb = PIL.ImageCms.ImageCmsProfile(PIL.ImageCms.createProfile("sRGB")).tobytes()
+    upright = photographs(tmp_path, [1] * 4, icc_profile=srgb)
+    stated, told = load_capture(tmp_path), load_capture(tmp_path, encoding="linear")
+    assert torch.allclose(stated.images, srgb_to_linear(upright[:, None].expand(-1, 3, -1, -1)), atol=1e-3)
+    assert "encoding-stated" in {note.code for note in stated.notes}
+    assert torch.allclose(told.images[:, 0], upright, atol=1e-6)
+    assert {"read-as-linear", "encoding-overridden"} <= {note.code for note in told.notes}
+    PIL.Image.fromarray(np.zeros((8, 6), np.uint8)).save(tmp_path / "2.png")
+    with pytest.raises(FileError, match="no encoding"):
+        load_capture(tmp_path)
+
+
+def test_a_folder_of_raw_files_says_what_it_found(tmp_path: Path) -> None:
+    for name in ("a.CR2", "b.cr2", "c.heic"):
+        (tmp_path / name).write_bytes(b"x")
+    (tmp_path / "lights.txt").write_text("0 0 1\n")
+    with pytest.raises(FileError, match=r"2 \.cr2, 1 \.heic") as raised:
+        load_capture(tmp_path)
+    assert "TIFF" in raised.value.mend
+
+
+def test_photographs_whose_names_are_not_utf8(tmp_path: Path) -> None:
+    upright = photographs(tmp_path, [1] * 4)
+    for k in range(4):
+        (tmp_path / f"{k}.png").rename(tmp_path / os.fsdecode(b"foto\xe9_%d.png" % k))
+    capture = load_capture(tmp_path, encoding="linear")
+    assert torch.allclose(capture.images[:, 0], upright, atol=1e-6)

@@ -19,8 +19,9 @@ from torch_orennayar import (
     linear_to_srgb,
     srgb_to_linear,
 )
-from torch_orennayar.io import images
-from torch_orennayar.io.images import read_image, to_unit, write_animation, write_image
+from torch_orennayar.io import picture
+from torch_orennayar.io.images import read_image, write_animation, write_image
+from torch_orennayar.io.picture import to_unit
 
 
 @pytest.mark.parametrize("suffix", [".png", ".tiff"])
@@ -79,7 +80,7 @@ def test_what_is_no_image_is_refused(tmp_path: Path) -> None:
 def test_decompression_bombs_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file = tmp_path / "large.png"
     write_image(file, torch.zeros(1, 20, 20))
-    monkeypatch.setattr(images, "MAX_PIXELS", 399)
+    monkeypatch.setattr(picture, "MAX_PIXELS", 399)
     with pytest.raises(FileError, match="399 pixels"):
         read_image(file)
 

@@ -13,6 +13,20 @@ from .errors import FileError
 
 
 @contextmanager
+def utf8_path(path: Path) -> Iterator[Path]:
+    """``path``, or a temporary copy where its name is not UTF-8, which libraries in C++ cannot take."""
+    try:
+        str(path).encode("utf-8")
+    except UnicodeEncodeError:
+        with tempfile.TemporaryDirectory() as folder:
+            copy = Path(folder) / f"file{path.suffix.encode('ascii', 'ignore').decode()}"
+            shutil.copyfile(path, copy)
+            yield copy
+        return
+    yield path
+
+
+@contextmanager
 def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     """A temporary path to write to; the file is moved to ``path`` if the block succeeds, and removed if it fails."""
     target = Path(path)

@@ -4,8 +4,15 @@ from __future__ import annotations
 
 CODES: dict[str, str] = {
     # loading a capture
-    "read-as-srgb": "the images were read as sRGB-encoded",
-    "read-as-linear": "the images were read as linear light",
+    "read-as-srgb": "the images state no encoding and were read as sRGB-encoded, or the caller said so",
+    "read-as-linear": "the images state no encoding and were read as linear light, or the caller said so",
+    "encoding-stated": "the images were read in the encoding that they state",
+    "encoding-overridden": "the caller's encoding was used, not the one that the images state",
+    "turned-upright": "the images were turned as they say; value: Exif orientation, 2 to 8",
+    "mask-from-alpha": "the mask is the opaque part of its file",
+    "mask-from-labels": "the mask is every label of its file but 0",
+    "mask-covers-everything": "the mask leaves no pixel out",
+    "mask-may-be-inverted": "the mask holds all four corners of the picture",
     "half-precision": "a large capture, whose images are kept in half precision",
     "ambient-subtracted": "a photograph with all lights off was subtracted",
     "no-intensities": "no file of light intensities; all lights are taken as equally bright",

@@ -9,6 +9,7 @@ import torch
 from .errors import MissingPackageError
 
 PACKAGES: dict[str, tuple[str, str]] = {
+    "OpenImageIO": ("OpenImageIO", ""),
     "PIL": ("pillow", ""),
     "cv2": ("opencv-contrib-python-headless", ""),
     "jinja2": ("jinja2", "cli"),

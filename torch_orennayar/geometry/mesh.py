@@ -11,7 +11,7 @@ from torch import Tensor
 
 from ..core.checks import check_floating
 from ..core.errors import FileError, RangeError, ShapeError
-from ..core.files import atomic_path
+from ..core.files import atomic_path, utf8_path
 from ..core.optional import require
 from .camera import Camera
 
@@ -50,7 +50,8 @@ def load_mesh(path: str | os.PathLike[str]) -> tuple[Tensor, Tensor]:
     if not file.is_file():
         raise FileError(str(file), expected="a mesh file", got="nothing there", mend="check the name")
     try:
-        mesh = trimesh.load_mesh(file, process=False)
+        with utf8_path(file) as named:
+            mesh = trimesh.load_mesh(named, process=False)
         mesh.merge_vertices(merge_tex=True, merge_norm=True)
         vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
     except Exception as error:  # trimesh and its parsers raise many types of exception for damaged files

@@ -24,7 +24,8 @@ from .light_files import (
     read_directions,
     read_intensities,
 )
-from .photographs import find_ambient, list_photographs, path_inside, read_mask, read_photographs
+from .masks import find_mask, read_mask
+from .photographs import find_ambient, list_photographs, path_inside, read_photographs
 
 TRUTH_FILES = ("Normal_gt.mat", "normal_gt.npy")
 """Names of the file of true normals, the first that exists is read; the first is DiLiGenT's (Shi et al. 2016)."""
@@ -84,8 +85,9 @@ def load_capture(
 
     The folder may hold: ``filenames.txt`` (without it, all images but the mask, in natural order);
     ``light_directions.txt`` or ``lights.txt`` (one line ``x y z`` per image, optionally after the image's name) or
-    one ``*.lp``; ``light_intensities.txt`` (1 or 3 numbers per line, default 1); ``mask.png`` (the object is brighter
-    than half its maximum; default: all pixels); ``ambient.*``, a photograph with all lights off, which is
+    one ``*.lp``; ``light_intensities.txt`` (1 or 3 numbers per line, default 1); a mask, any picture with ``mask``
+    in its name (the opaque part where alpha varies, every label but 0, or what is brighter than half the maximum;
+    default: all pixels); ``ambient.*``, a photograph with all lights off, which is
     subtracted; ``Normal_gt.mat`` or ``normal_gt.npy``, true normals (H, W, 3).
 
     Args:
@@ -95,14 +97,15 @@ def load_capture(
         chrome: a folder of photographs of a mirror ball under the same lights in the same order, optionally with a
             ``mask.png`` of the ball; directions are measured from its highlights and no light file is read.
         ambient: a photograph with all lights off, outside the folder.
-        encoding: ``"linear"``, ``"srgb"``, or ``"auto"``: 8-bit files are sRGB-encoded, all others linear.
+        encoding: ``"linear"``, ``"srgb"``, or ``"auto"``: what the files state (profile, sRGB or gamma chunk, Exif),
+            else 8-bit files are sRGB-encoded and all others linear.
 
     Returns:
         A `Capture`.
 
     Raises:
-        FileError: a file is missing, damaged or truncated, or lies outside the folder; images differ in size or bit
-            depth; the numbers of lights and images differ.
+        FileError: a file is missing, damaged or truncated, or lies outside the folder; images differ in size,
+            orientation, bit depth or encoding; the numbers of lights and images differ.
         RangeError: unknown encoding, lights that are not unit vectors, intensities that are not positive.
         MissingPackageError: a package that reads the files is not installed.
 
@@ -128,7 +131,7 @@ def load_capture(
     folder = source if source.is_dir() else source.parent
     if chrome is not None and lights is not None:
         raise FileError(str(chrome), expected="a light file or a chrome ball", got="both", mend="leave one of them out")
-    mask_file = Path(mask) if mask is not None else folder / "mask.png"
+    mask_file = Path(mask) if mask is not None else find_mask(folder)
     ambient_file = Path(ambient) if ambient is not None else find_ambient(folder)
     others = tuple(f for f in (mask_file, ambient_file) if f is not None)
     notes: tuple[Finding, ...] = ()
@@ -142,7 +145,7 @@ def load_capture(
     intensities, no_intensities = read_intensities(folder, len(files))
     images, decisions = read_photographs(files, encoding, intensities, ambient_file)
     size = (images.shape[2], images.shape[3])
-    inside, no_mask = read_mask(mask_file, size, required=mask is not None)
+    inside, about_mask = read_mask(mask_file, size)
     return Capture(
         images=images,
         lights=directions,
@@ -150,7 +153,7 @@ def load_capture(
         mask=inside,
         normal=_read_truth(folder, size),
         names=tuple(f.name for f in files),
-        notes=(*notes, *no_intensities, *decisions, *no_mask),
+        notes=(*notes, *no_intensities, *decisions, *about_mask),
     )
 
 
@@ -184,9 +187,8 @@ def load_photograph(
     _check_encoding(encoding)
     images, notes = read_photographs([Path(path)], encoding, torch.ones(1, 3))
     size = (images.shape[2], images.shape[3])
-    inside = torch.ones(1, *size, dtype=torch.bool)
-    if mask is not None:
-        inside, _ = read_mask(Path(mask), size, required=True)
+    inside, about_mask = read_mask(None if mask is None else Path(mask), size)
+    notes = (*notes, *about_mask)
     return Capture(images, light[None], torch.ones(1, 3), inside, None, (Path(path).name,), notes)
 
 
@@ -239,12 +241,12 @@ def load_ball(
     folder = Path(path)
     if not folder.is_dir():
         raise FileError(str(folder), expected="a folder of photographs", got="no folder", mend="check the name")
-    mask_file = Path(mask) if mask is not None else folder / "mask.png"
-    files = list_photographs(folder, (mask_file,))
+    mask_file = Path(mask) if mask is not None else find_mask(folder)
+    files = list_photographs(folder, () if mask_file is None else (mask_file,))
     images, _ = read_photographs(files, encoding, torch.ones(len(files), 3))
-    if mask is None and not mask_file.is_file():
+    if mask_file is None:
         return images, None
-    inside, _ = read_mask(mask_file, (images.shape[2], images.shape[3]), required=True)
+    inside, _ = read_mask(mask_file, (images.shape[2], images.shape[3]))
     return images, inside
 
 

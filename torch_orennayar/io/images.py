@@ -1,7 +1,4 @@
-"""Read and write image files and animations; sRGB and normal-map encodings.
-
-OpenCV keeps the bit depth; Pillow checks the integrity that OpenCV does not.
-"""
+"""Samples of image files, image files and animations written, sRGB and normal-map encodings."""
 
 from __future__ import annotations
 
@@ -17,29 +14,26 @@ from torch import Tensor
 from ..core.errors import FileError, RangeError, ShapeError
 from ..core.files import atomic_path
 from ..core.optional import require
+from .picture import read_picture
 
-IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".hdr"})
-"""Suffixes of files that count as photographs in a folder: those that OpenCV reads with all its builds."""
 ANIMATIONS = frozenset({".gif", ".mp4"})
 """Suffixes that `write_animation` writes."""
-MAX_PIXELS = 150_000_000
-"""Pixels above which an image is refused as a decompression bomb; set by hand, above what cameras record."""
 GIF_PALETTE_PIXELS = 1_000_000
 """Pixels from all frames, about, that the palette of a GIF is computed from; set by hand, for memory."""
 
 
 def read_image(path: str | os.PathLike[str]) -> npt.NDArray[np.generic]:
-    """Read a picture as stored; alpha is dropped.
+    """Read a picture's samples as stored, turned upright as the file says; alpha is dropped.
 
     Args:
-        path: PNG, JPEG, TIFF, BMP or Radiance HDR.
+        path: any of `picture.IMAGE_SUFFIXES`; the contents decide on the format.
 
     Returns:
-        (H, W) or (H, W, 3) RGB, uint8, uint16 or float32.
+        (H, W) or (H, W, 3) RGB, uint8, uint16 or float32. No curve is undone, whatever encoding the file states.
 
     Raises:
-        FileError: missing, damaged, truncated, of another kind, or larger than ``MAX_PIXELS``.
-        MissingPackageError: OpenCV or Pillow is not installed.
+        FileError: as `read_picture`.
+        MissingPackageError: OpenImageIO or Pillow is not installed.
 
     Example:
         >>> import tempfile, pathlib, torch, torch_orennayar as ton
@@ -49,59 +43,7 @@ def read_image(path: str | os.PathLike[str]) -> npt.NDArray[np.generic]:
         >>> int(read_image(path)[0, 0])
         32768
     """
-    require("cv2")
-    import cv2
-
-    file = Path(path)
-    if not file.is_file():
-        raise FileError(str(file), expected="an image file", got="nothing there", mend="check the name")
-    _check_container(file)
-    array = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
-    if array is None:
-        raise FileError(str(file), expected="a readable image", got="damaged data", mend="copy or export it again")
-    if array.dtype not in (np.uint8, np.uint16, np.float32):
-        raise FileError(
-            str(file), expected="8, 16 or 32-bit float samples", got=str(array.dtype), mend="convert the image"
-        )
-    if array.ndim == 3:
-        array = array[..., 0] if array.shape[2] <= 2 else array[..., 2::-1]
-    return np.ascontiguousarray(array)
-
-
-def _check_container(file: Path) -> None:
-    """Check size and integrity, which OpenCV does not report for every format."""
-    require("PIL")
-    import PIL.Image
-
-    try:
-        with PIL.Image.open(file) as picture:
-            pixels = picture.width * picture.height
-            if pixels > MAX_PIXELS:
-                raise FileError(
-                    str(file), expected=f"at most {MAX_PIXELS} pixels", got=str(pixels), mend="crop or shrink it"
-                )
-            if picture.format == "PNG":
-                picture.verify()
-            elif picture.format == "JPEG":
-                picture.load()
-    except PIL.UnidentifiedImageError as error:
-        if file.suffix.lower() not in (".tif", ".tiff", ".hdr"):  # Pillow does not know float TIFF and HDR
-            raise FileError(
-                str(file), expected="an image", got="unknown data", mend="copy or export it again"
-            ) from error
-    except FileError:
-        raise
-    except (OSError, SyntaxError, ValueError, PIL.Image.DecompressionBombError) as error:
-        raise FileError(
-            str(file), expected="an undamaged image", got=str(error).lower(), mend="copy or export it again"
-        ) from error
-
-
-def to_unit(array: npt.NDArray[np.generic]) -> npt.NDArray[np.float32]:
-    """Samples as float32; integers are divided by the largest value of their type."""
-    if array.dtype == np.float32:
-        return array.astype(np.float32, copy=False)
-    return array.astype(np.float32) / np.float32(np.iinfo(array.dtype).max)  # type: ignore[type-var, no-any-return]
+    return read_picture(path).samples
 
 
 def write_image(path: str | os.PathLike[str], image: Tensor, *, bits: int = 8) -> None:

@@ -1,12 +1,14 @@
-"""The pictures of a capture: found in its folder, read to linear light, all of one size and bit depth; its mask."""
+"""The pictures of a capture: found in its folder, read to linear light, all of one size, orientation and encoding."""
 
 from __future__ import annotations
 
 import os
 import re
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -16,8 +18,12 @@ from torch import Tensor
 from ..core.errors import FileError
 from ..core.findings import Finding
 from ..core.progress import track
-from .images import IMAGE_SUFFIXES, read_image, srgb_to_linear, to_unit
+from .encoding import srgb_curve
 from .light_files import read_words
+from .masks import is_mask
+from .picture import HEIF_SUFFIXES, IMAGE_SUFFIXES, RAW_SUFFIXES, Picture, read_picture, to_unit
+
+Floats: TypeAlias = npt.NDArray[np.float32]
 
 HALF_FROM = 1 << 29
 """Number of samples of a capture (K x 3 x H x W) from which images are kept in half precision, which rounds each value
@@ -32,7 +38,7 @@ def list_photographs(folder: Path, others: Sequence[Path]) -> list[Path]:
     """Photographs of a capture in natural order: those in ``filenames.txt``, else all images but masks and ``others``.
 
     Raises:
-        FileError: a listed name that leads out of the folder.
+        FileError: a listed name that leads out of the folder, or nothing that can be read.
     """
     listing = folder / "filenames.txt"
     if listing.is_file():
@@ -42,11 +48,19 @@ def list_photographs(folder: Path, others: Sequence[Path]) -> list[Path]:
         return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", file.name)]
 
     def is_photograph(file: Path) -> bool:
-        hidden = file.name.startswith(".") or file.stem.lower() == "mask"
+        hidden = file.name.startswith(".") or is_mask(file)
         hidden = hidden or file.resolve() in {other.resolve() for other in others}
         return file.suffix.lower() in IMAGE_SUFFIXES and not hidden
 
-    return sorted(filter(is_photograph, folder.iterdir()), key=natural)
+    found = sorted(filter(is_photograph, folder.iterdir()), key=natural)
+    if not found:
+        kinds = Counter(f.suffix.lower() or "no suffix" for f in folder.iterdir() if f.is_file())
+        got = ", ".join(f"{count} {suffix}" for suffix, count in kinds.most_common(6)) or "no files"
+        mend = "check the folder"
+        if kinds.keys() & (RAW_SUFFIXES | HEIF_SUFFIXES):
+            mend = "convert the camera's files: RAW to linear 16-bit TIFF (dcraw -4 -T), HEIC to TIFF or JPEG"
+        raise FileError(str(folder), expected="photographs", got=got, mend=mend)
+    return found
 
 
 def path_inside(folder: Path, name: str) -> Path:
@@ -85,19 +99,18 @@ def read_photographs(
     """
     if not files:
         raise FileError("images", expected="image files in the folder", got="none", mend="check the folder")
-    first = read_image(files[0])
-    encoded = encoding == "srgb" or (encoding == "auto" and first.dtype == np.uint8)
-    large = len(files) * 3 * first.shape[0] * first.shape[1] > HALF_FROM
+    first = read_picture(files[0])
+    linear = _to_linear(first, encoding)
+    large = len(files) * 3 * first.samples.shape[0] * first.samples.shape[1] > HALF_FROM
 
     def decode(file: Path) -> Tensor:
-        array = read_image(file)
-        _check_same_kind(file, array, files[0], first)
-        unit = torch.from_numpy(to_unit(array))
-        image = unit.expand(3, -1, -1) if unit.ndim == 2 else unit.permute(2, 0, 1)
-        return srgb_to_linear(image) if encoded else image
+        picture = read_picture(file)
+        _check_same_kind(file, picture, files[0], first)
+        light = torch.from_numpy(linear(to_unit(picture.samples)))
+        return light.expand(3, -1, -1) if light.ndim == 2 else light.permute(2, 0, 1)
 
     dark = None if ambient is None else decode(ambient)
-    result = torch.empty((len(files), 3, *first.shape[:2]), dtype=torch.float16 if large else torch.float32)
+    result = torch.empty((len(files), 3, *first.samples.shape[:2]), dtype=torch.float16 if large else torch.float32)
 
     def fill(index: int) -> None:
         image = decode(files[index])
@@ -111,68 +124,62 @@ def read_photographs(
         except BaseException:
             pool.shutdown(cancel_futures=True)
             raise
-    return result, tuple(_decisions(first.dtype, encoding, encoded, large, ambient))
+    return result, (*_encoding_findings(first, encoding), *_other_findings(first, large, ambient))
 
 
-def _decisions(
-    dtype: npt.DTypeLike, encoding: str, encoded: bool, large: bool, ambient: Path | None
-) -> Sequence[Finding]:
-    decisions = []
-    if encoded:
-        guess = "; if they are not, load them with encoding='linear' (--encoding linear)" if encoding == "auto" else ""
-        decisions.append(Finding(f"{dtype} images read as sRGB-encoded{guess}.", "read-as-srgb"))
-    else:
-        decisions.append(Finding(f"{dtype} images read as linear light.", "read-as-linear"))
+def _to_linear(picture: Picture, encoding: str) -> Callable[[Floats], Floats]:
+    """What turns samples into linear light: the caller's word, else the file's, else 8 bits are taken as sRGB."""
+    if encoding == "auto" and picture.stated is not None:
+        return picture.stated.to_linear
+    if encoding == "srgb" or (encoding == "auto" and picture.samples.dtype == np.uint8):
+        return srgb_curve
+    return lambda samples: samples
+
+
+def _encoding_findings(picture: Picture, encoding: str) -> list[Finding]:
+    dtype, stated = picture.samples.dtype, picture.stated
+    if encoding == "auto" and stated is not None:
+        return [Finding(f"{dtype} images read as they say: {stated.words}.", "encoding-stated")]
+    curve = "sRGB-encoded" if encoding == "srgb" or (encoding == "auto" and dtype == np.uint8) else "linear light"
+    code = "read-as-srgb" if curve == "sRGB-encoded" else "read-as-linear"
+    other = "linear" if curve == "sRGB-encoded" else "srgb"
+    guess = f"; if they are not, load them with encoding='{other}' (--encoding {other})" if encoding == "auto" else ""
+    found = [Finding(f"{dtype} images read as {curve}{guess}.", code)]
+    if stated is not None and stated.linear != (curve == "linear light"):
+        found.append(Finding(f"the images state another encoding: {stated.words}.", "encoding-overridden"))
+    return found
+
+
+def _other_findings(picture: Picture, large: bool, ambient: Path | None) -> list[Finding]:
+    found = []
+    if picture.orientation != 1:
+        said = f"images turned upright as they say (orientation {picture.orientation})"
+        text = f"{said}; lights are taken as those of the upright view."
+        found.append(Finding(text, "turned-upright", picture.orientation))
     if large:
         text = "a large capture: its images are kept in half precision, 0.05 % of each value."
-        decisions.append(Finding(text, "half-precision"))
+        found.append(Finding(text, "half-precision"))
     if ambient is not None:
         text = f"{ambient.name}, taken with all lights off, was subtracted."
-        decisions.append(Finding(text, "ambient-subtracted"))
-    return decisions
+        found.append(Finding(text, "ambient-subtracted"))
+    return found
 
 
-def _check_same_kind(
-    file: Path, array: npt.NDArray[np.generic], first_file: Path, first: npt.NDArray[np.generic]
-) -> None:
-    """All images of a capture have one size and bit depth."""
-    if array.shape[:2] != first.shape[:2]:
-        raise FileError(
-            str(file),
-            expected=f"{first.shape[1]} x {first.shape[0]} pixels as in {first_file.name}",
-            got=f"{array.shape[1]} x {array.shape[0]}",
-            mend="bring all images of a capture to one size",
-        )
-    if array.dtype != first.dtype:
-        raise FileError(
-            str(file),
-            expected=f"{first.dtype} samples as in {first_file.name}",
-            got=str(array.dtype),
-            mend="export all images of a capture with one bit depth",
-        )
+def _check_same_kind(file: Path, picture: Picture, first_file: Path, first: Picture) -> None:
+    """All images of a capture have one size, orientation, bit depth and encoding."""
 
+    def words(one: Picture) -> str:
+        return one.stated.words if one.stated is not None else "no encoding"
 
-def read_mask(file: Path, size: tuple[int, int], *, required: bool) -> tuple[Tensor, tuple[Finding, ...]]:
-    """The mask (1, H, W) bool, where the file is brighter than half its maximum, and what was assumed.
-
-    Without the file every pixel is the object, unless it is ``required``.
-
-    Raises:
-        FileError: a missing, damaged or empty mask, or one of another size.
-    """
-    if not file.is_file() and not required:
-        text = "no mask.png: every pixel is taken as the object."
-        return torch.ones(1, *size, dtype=torch.bool), (Finding(text, "no-mask"),)
-    array = to_unit(read_image(file))
-    array = array if array.ndim == 2 else array.max(axis=2)
-    if array.shape != size:
-        raise FileError(
-            str(file),
-            expected=f"{size[1]} x {size[0]} pixels as the images have",
-            got=f"{array.shape[1]} x {array.shape[0]}",
-            mend="crop or resize the mask",
-        )
-    mask = torch.from_numpy(array > array.max() / 2)[None]  # relative to the maximum: some masks hold 0 and 1
-    if not bool(mask.any()):
-        raise FileError(str(file), expected="some white pixels", got="an empty mask", mend="paint the object white")
-    return mask, ()
+    kinds = (
+        (
+            lambda p: f"orientation {p.orientation}",
+            "turn all images alike: the camera was turned between photographs, or an editor turned some of them",
+        ),
+        (lambda p: f"{p.samples.shape[1]} x {p.samples.shape[0]} pixels", "bring all images of a capture to one size"),
+        (lambda p: f"{p.samples.dtype} samples", "export all images of a capture with one bit depth"),
+        (words, "export all images of a capture in one encoding"),
+    )
+    for kind, mend in kinds:
+        if kind(picture) != kind(first):
+            raise FileError(str(file), expected=f"{kind(first)} as in {first_file.name}", got=kind(picture), mend=mend)

@@ -77,7 +77,7 @@ def write_report(path: str | os.PathLike[str], title: str, sections: Sequence[Se
         title=title, sections=sections, embed=_embed, footer=f"torch_orennayar {__version__}"
     )
     target = Path(path)
-    target.write_text(page, encoding="utf-8")
+    target.write_text(page, encoding="utf-8", errors="replace")  # names of files need not be UTF-8
     return target
 
 

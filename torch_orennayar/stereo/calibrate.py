@@ -102,7 +102,7 @@ def find_circle(images: Tensor) -> Ball:
     bright = images.amax(0).mean(0)
     top = bright.flatten().double().quantile(0.99).item() if bright.numel() < 10_000_000 else bright.max().item()
     picture = ((bright / max(top, 1e-12)).clamp(0, 1) ** 0.3 * 255).cpu().numpy().astype(np.uint8)
-    least = min(picture.shape) // 12
+    least = max(1, min(picture.shape) // 12)
     found = cv2.HoughCircles(
         cv2.medianBlur(picture, 5),
         cv2.HOUGH_GRADIENT_ALT,

@@ -13,7 +13,7 @@ TARGETS = {"20480 triangles": "llvmpipe (OpenGL)", "327680 triangles": "Mitsuba 
 def comparison() -> str:
     """Milliseconds of every renderer."""
     section = load_section(RENDERER, "comparison")
-    names = list(dict.fromkeys(n for rows in section.results.values() for n, row in rows.items() if "ms" in row))
+    names = list(dict.fromkeys(name for rows in section.results.values() for name in rows))
     body = []
     for title, rows in section.results.items():
         target = next((name for mesh, name in TARGETS.items() if title.startswith(mesh)), "")
