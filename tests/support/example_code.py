@@ -42,3 +42,4 @@ def served_page() -> Iterator[str]:
         yield f"http://localhost:{server.server_address[1]}"
     finally:
         server.shutdown()
+        server.server_close()
