@@ -19,6 +19,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place
 
 
+@pytest.mark.slow
 def test_bars_of_the_demo(folder: Path) -> None:
     numbers = json.loads((folder / "result.json").read_text())
     mean = {name: n["normal_error_degrees"]["mean"] for name, n in numbers.items()}

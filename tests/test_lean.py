@@ -113,6 +113,7 @@ def lean() -> subprocess.CompletedProcess[str]:
     return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
 
 
+@pytest.mark.slow
 def test_the_core_works_with_torch_and_numpy_alone(lean: subprocess.CompletedProcess[str]) -> None:
     assert "Traceback" not in lean.stderr, lean.stderr
 

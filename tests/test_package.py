@@ -12,6 +12,7 @@ import torch_orennayar as ton
 HEAVY = ("cv2", "trimesh", "onnxruntime", "onnx", "scipy", "matplotlib", "kornia", "PIL", "typer", "jinja2", "pyamg")
 
 
+@pytest.mark.slow
 def test_import_is_light() -> None:
     code = (
         f"import sys, torch; before = set(sys.modules); import torch_orennayar; new = set(sys.modules) - before; "

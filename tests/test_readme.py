@@ -60,6 +60,7 @@ CHECKS: dict[str, Callable[[Names, str], None]] = {
 
 
 @pytest.mark.parametrize("document", [ROOT / "README.md", *GUIDES], ids=lambda path: path.name)
+@pytest.mark.slow
 def test_python_blocks_run_in_order(
     document: Path,
     tmp_path: Path,

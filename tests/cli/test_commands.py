@@ -16,6 +16,7 @@ from torch_orennayar.io.images import read_image, write_image
 from torch_orennayar.io.picture import to_unit
 
 
+@pytest.mark.slow
 def test_stereo_writes_everything(orennayar: Run, capture_folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     result = orennayar("stereo", capture_folder, "-o", out)
@@ -39,6 +40,7 @@ def test_stereo_writes_everything(orennayar: Run, capture_folder: Path, tmp_path
     assert (out / "mesh.ply").exists()
 
 
+@pytest.mark.slow
 def test_results_of_an_earlier_run_do_not_mix(orennayar: Run, capture_folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     orennayar("stereo", capture_folder, "-o", out)
@@ -67,6 +69,7 @@ def test_failed_stereo_leaves_nothing(orennayar: Run, capture_folder: Path, tmp_
     assert [p.name for p in tmp_path.iterdir()] == ["capture"]
 
 
+@pytest.mark.slow
 def test_render_draws_a_mesh(orennayar: Run, tmp_path: Path) -> None:
     vertices, faces = bumpy_ball()
     save_mesh(tmp_path / "ball.ply", vertices * 7 + 3, faces)
@@ -82,6 +85,7 @@ def test_render_draws_a_mesh(orennayar: Run, tmp_path: Path) -> None:
         assert np.isinf(depth[0][mask == 0]).all()
 
 
+@pytest.mark.slow
 def test_export_and_info(orennayar: Run, tmp_path: Path) -> None:
     path = tmp_path / "graph.onnx"
     assert orennayar("export", path, "--model", "lambert").status == 0
@@ -136,6 +140,7 @@ def test_interruption_is_one_line(orennayar: Run, monkeypatch: pytest.MonkeyPatc
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_render_walks_around_under_many_lights(orennayar: Run, tmp_path: Path) -> None:
     vertices, faces = bumpy_ball()
     save_mesh(tmp_path / "ball.ply", vertices, faces)
@@ -172,6 +177,7 @@ def test_calibrate_writes_files_that_the_loader_reads(orennayar: Run, tmp_path: 
     assert "chrome, grey or own" in result.err
 
 
+@pytest.mark.slow
 def test_shape_from_one_photograph(orennayar: Run, tmp_path: Path) -> None:
     field, light = height_fields.make("sphere cap", 64), height_fields.light_at(30)
     write_image(tmp_path / "photo.png", height_fields.photograph(field, light, 0.5).clamp(0, 1), bits=16)

@@ -30,6 +30,7 @@ def test_other_vectors_are_named(text: str) -> None:
         parse_vector("--light", text)
 
 
+@pytest.mark.slow
 def test_all_forms_render_the_same(orennayar: Run, tmp_path: Path) -> None:
     save_mesh(tmp_path / "ball.ply", *bumpy_ball())
     command = ("render", tmp_path / "ball.ply", "--size", 32, "--light")

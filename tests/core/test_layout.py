@@ -75,6 +75,7 @@ def in_package(module: str) -> bool:
 
 
 @pytest.mark.parametrize("file", sources("tests", "scripts", "examples"), ids=name)
+@pytest.mark.slow
 def test_nobody_outside_needs_a_private_module(file: Path) -> None:
     modules = {m for m, _ in imported(parse(file))} | {n for m, n in imported(parse(file)) if m == "torch_orennayar"}
     modules -= set(public_names())

@@ -13,6 +13,7 @@ from torch_orennayar.io.capture import save_capture
 from torch_orennayar.io.images import read_image
 
 
+@pytest.mark.slow
 def test_fit_roughness_finds_the_truth() -> None:
     albedo, degrees = load("fit_roughness").main()
     assert torch.allclose(albedo, torch.tensor([0.8, 0.5, 0.2]), atol=0.01)
@@ -27,6 +28,7 @@ def test_shade_mesh_draws_two_rows_of_three(tmp_path: Path) -> None:
     assert (picture[:256] != picture[256:]).mean() > 0.1
 
 
+@pytest.mark.slow
 def test_fit_silhouette_finds_the_truth(tmp_path: Path) -> None:
     place, size, losses = load("fit_silhouette").main(str(tmp_path / "picture.png"))
     assert place == pytest.approx([0.3, -0.2], abs=0.005)
@@ -35,6 +37,7 @@ def test_fit_silhouette_finds_the_truth(tmp_path: Path) -> None:
     assert read_image(tmp_path / "picture.png").ndim == 3
 
 
+@pytest.mark.slow
 def test_custom_reflectance_draws_and_exports(tmp_path: Path) -> None:
     import onnxruntime
 
@@ -61,6 +64,7 @@ def test_custom_reflectance_draws_and_exports(tmp_path: Path) -> None:
             unregister_model(name)
 
 
+@pytest.mark.slow
 def test_inverse_rendering_mends_the_lights(tmp_path: Path, rough: Scene) -> None:
     save_capture(tmp_path / "capture", rough.images, rough.lights, rough.mask)
     found = load("inverse_rendering").main(str(tmp_path / "capture"), str(tmp_path / "out"))
@@ -71,6 +75,7 @@ def test_inverse_rendering_mends_the_lights(tmp_path: Path, rough: Scene) -> Non
     assert (tmp_path / "out" / "loss.png").is_file()
 
 
+@pytest.mark.slow
 def test_shape_from_one_picture_is_learned_through_the_layer(tmp_path: Path) -> None:
     """A minute of what takes longer: the re-rendered picture comes nearer, more so with the rough model in the loss."""
     example = load("train_shape_from_shading")

@@ -47,6 +47,7 @@ def wanted_picture(normal: torch.Tensor) -> np.ndarray[tuple[int, ...], np.dtype
     return (ton.linear_to_srgb(shading[0])[0] * 255).double().numpy()
 
 
+@pytest.mark.slow
 def test_relight(graphs: Path, tmp_path: Path, rough: Scene) -> None:
     write_image(tmp_path / "normal.png", ton.encode_normals(rough.normal))
     done = app("relight", graphs / "shading.onnx", tmp_path / "normal.png", tmp_path / "out.png")

@@ -57,6 +57,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_killed_and_resumed_to_the_bit(tmp_path: Path, whole: Path) -> None:
     process = subprocess.Popen([sys.executable, *command(tmp_path, 12, 4)], stderr=subprocess.DEVNULL)
     begun = time.monotonic()
@@ -73,6 +74,7 @@ def test_killed_and_resumed_to_the_bit(tmp_path: Path, whole: Path) -> None:
     assert curve(tmp_path) == curve(whole)
 
 
+@pytest.mark.slow
 def test_workers_make_the_same_samples(tmp_path: Path, whole: Path) -> None:
     """Broken off and resumed among other workers' samples, too."""
     train(tmp_path, 12, 4, "--workers", "2")
@@ -82,6 +84,7 @@ def test_workers_make_the_same_samples(tmp_path: Path, whole: Path) -> None:
     assert same(tmp_path, whole)
 
 
+@pytest.mark.slow
 def test_a_torn_checkpoint_gives_way_to_the_one_before(tmp_path: Path, whole: Path) -> None:
     train(tmp_path)
     torn = tmp_path / "checkpoint.pt"
@@ -107,6 +110,7 @@ def test_a_checkpoint_of_another_task_is_an_error(whole: Path) -> None:
 
 
 @pytest.mark.parametrize("workers", ["0", "1"])
+@pytest.mark.slow
 def test_two_processes_equal_one(tmp_path: Path, whole: Path, workers: str) -> None:
     launcher = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
     environment = os.environ | {"OMP_NUM_THREADS": "1"}
@@ -121,6 +125,7 @@ def test_two_processes_equal_one(tmp_path: Path, whole: Path, workers: str) -> N
         assert together[2] == pytest.approx(alone[2], abs=2e-3)
 
 
+@pytest.mark.slow
 def test_training_learns(tmp_path: Path) -> None:
     train(tmp_path, steps=200, every=20)
     losses = [row[1] for row in curve(tmp_path)]

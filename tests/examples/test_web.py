@@ -118,6 +118,7 @@ def status(page: Page, text: str, timeout: float = 120_000) -> str:
     return str(page.text_content("#status"))
 
 
+@pytest.mark.slow
 def test_pixels_equal_pythons(page: Page) -> None:
     normal = stored_normals(WEB / "graphs" / "normal.png")
     assert np.abs(seen(page, "left") - shown(normal, "vcavity")).max() <= 1
@@ -128,6 +129,7 @@ def test_pixels_equal_pythons(page: Page) -> None:
     assert page.evaluate("crossOriginIsolated") is True
 
 
+@pytest.mark.slow
 def test_dragging_and_keys_move_the_light(page: Page) -> None:
     normal, first = stored_normals(WEB / "graphs" / "normal.png"), seen(page, "left")
     box = page.locator("#left").bounding_box()
@@ -146,6 +148,7 @@ def test_dragging_and_keys_move_the_light(page: Page) -> None:
     assert np.abs(seen(page, "left") - moved).mean() > 0.3
 
 
+@pytest.mark.slow
 def test_a_mesh_is_drawn_as_python_draws_it(page: Page, tmp_path: Path) -> None:
     torus = trimesh.creation.torus(0.8, 0.35)
     torus.export(tmp_path / "torus.obj")
@@ -158,6 +161,7 @@ def test_a_mesh_is_drawn_as_python_draws_it(page: Page, tmp_path: Path) -> None:
     assert (difference > 1).mean() < 1e-4  # vertices are rounded once more on the way
 
 
+@pytest.mark.slow
 def test_photographs_become_normals(page: Page, tmp_path: Path, rough: Scene) -> None:
     save_capture(tmp_path / "capture", rough.images, rough.lights, rough.mask)
     page.set_input_files("#files", [f for f in (tmp_path / "capture").iterdir() if f.is_file()])
@@ -200,6 +204,7 @@ def run_in_page(page: Page, name: str, feeds: dict[str, npt.NDArray[Any]]) -> di
     return {k: np.array(v["values"], dtype=np.float32).reshape(v["dims"]) for k, v in answers.items()}
 
 
+@pytest.mark.slow
 def test_all_graphs_give_torchs_answer(page: Page, rough: Scene) -> None:
     generator = torch.Generator().manual_seed(0)
     scene = {
@@ -232,6 +237,7 @@ def test_all_graphs_give_torchs_answer(page: Page, rough: Scene) -> None:
     assert np.abs(drawn["normal"] - view.normal.numpy()).max() <= 1e-5
 
 
+@pytest.mark.slow
 def test_mistakes_are_told(page: Page, tmp_path: Path, rough: Scene) -> None:
     for k, size in enumerate((20, 20, 24)):
         write_image(tmp_path / f"{k}.png", torch.rand(3, size, size))
@@ -253,6 +259,7 @@ def test_mistakes_are_told(page: Page, tmp_path: Path, rough: Scene) -> None:
         assert "wrong" in str(page.get_attribute("#status", "class"))
 
 
+@pytest.mark.slow
 def test_webgpu_shows_the_same(driver: Playwright, address: str) -> None:
     """Where the browser has it, if only in software."""
     flags = ("--no-sandbox", "--enable-unsafe-webgpu", "--use-webgpu-adapter=swiftshader", "--ignore-gpu-blocklist")
@@ -272,6 +279,7 @@ def test_webgpu_shows_the_same(driver: Playwright, address: str) -> None:
     browser.close()
 
 
+@pytest.mark.slow
 def test_a_broken_graph_is_told(browser: Browser, address: str) -> None:
     page = browser.new_page()
     page.route("**/shading_vcavity.onnx", lambda route: route.fulfill(body=b"rubbish"))
@@ -281,6 +289,7 @@ def test_a_broken_graph_is_told(browser: Browser, address: str) -> None:
     page.close()
 
 
+@pytest.mark.slow
 def test_a_phone_needs_no_sideways_scrolling(browser: Browser, address: str) -> None:
     page = browser.new_page(viewport={"width": 360, "height": 740}, has_touch=True)
     page.goto(address)

@@ -36,6 +36,7 @@ def run(path: Path, **feeds: torch.Tensor) -> torch.Tensor:
 
 
 @pytest.mark.parametrize("rows_per_band", [1, 7, 1000])
+@pytest.mark.slow
 def test_bands_of_rows_are_the_whole_whatever_broadcasts(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rows_per_band: int
 ) -> None:
@@ -63,6 +64,7 @@ def test_bands_of_rows_are_the_whole_whatever_broadcasts(
         assert all(torch.equal(a, answers[0]) for a in answers)
 
 
+@pytest.mark.slow
 def test_maps_that_do_not_fit_fail_and_empty_pictures_do_not(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -83,6 +85,7 @@ def test_maps_that_do_not_fit_fail_and_empty_pictures_do_not(
             assert empty.shape == (shape[0], 1, *shape[2:])
 
 
+@pytest.mark.slow
 def test_models_of_users_export_with_the_rounding_that_they_have(tmp_path: Path) -> None:
     formulas: dict[str, ModelFunction] = {
         "by acos": lambda ci, co, lv, rho, sigma: rho * ci.acos(),
@@ -99,6 +102,7 @@ def test_models_of_users_export_with_the_rounding_that_they_have(tmp_path: Path)
 
 
 @pytest.mark.parametrize("model", list(MODELS)[:7])
+@pytest.mark.slow
 def test_graph_equals_torch_at_new_sizes(tmp_path: Path, model: str) -> None:
     path = export_onnx("shading", tmp_path / "graph.onnx", model=model)
     for seed, (batch, channels, height, width) in enumerate(((4, 3, 33, 17), (1, 1, 1, 64), (2, 5, 128, 96))):
@@ -116,6 +120,7 @@ def test_graph_equals_torch_at_new_sizes(tmp_path: Path, model: str) -> None:
         assert (answer - wanted).abs().max() <= 1e-5
 
 
+@pytest.mark.slow
 def test_per_pixel_directions(tmp_path: Path) -> None:
     path = export_onnx("shading", tmp_path / "graph.onnx", model="vcavity", per_pixel_directions=True)
     generator = torch.Generator().manual_seed(0)
@@ -203,6 +208,7 @@ def check_render(renderer: tuple[str, Path, Camera], vertices: torch.Tensor, fac
         assert torch.allclose(found["shading"], wanted, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_renderer_sees_the_faces_that_torch_sees(renderer: tuple[str, Path, Camera]) -> None:
     ball = trimesh.creation.icosphere(4)
     check_render(renderer, torch.tensor(ball.vertices).float(), torch.tensor(ball.faces))
@@ -213,6 +219,7 @@ def test_renderer_sees_the_faces_that_torch_sees(renderer: tuple[str, Path, Came
 
 
 @pytest.mark.parametrize("name", ["stanford-bunny", "spot", "suzanne", "teapot", "nefertiti"])
+@pytest.mark.slow
 def test_renderer_sees_the_same_faces_of_real_meshes(renderer: tuple[str, Path, Camera], data: Path, name: str) -> None:
     vertices, faces = load_mesh(data / "meshes" / f"{name}.obj")
     check_render(renderer, normalise_mesh(vertices), faces)

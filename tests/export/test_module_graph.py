@@ -28,6 +28,7 @@ class Relighter(nn.Module):
         return self.layer(normal, light, albedo=0.7, roughness=0.4), normal
 
 
+@pytest.mark.slow
 def test_a_module_with_the_layer_inside(tmp_path: Path) -> None:
     torch.manual_seed(0)
     module = Relighter().train()
@@ -77,6 +78,7 @@ class Noisy(nn.Module):
         (nn.ReLU(), (1.0,), "example_inputs"),
     ],
 )
+@pytest.mark.slow
 def test_modules_that_do_not_export_say_why(
     tmp_path: Path, module: nn.Module, example: tuple[Tensor, ...] | None, message: str
 ) -> None:
@@ -105,6 +107,7 @@ def test_half_precision_ends(tmp_path: Path) -> None:
     assert np.abs(answer.astype(np.float32) - wanted.float().numpy()).max() <= 2**-10
 
 
+@pytest.mark.slow
 def test_half_precision_of_the_others(tmp_path: Path) -> None:
     path = export_onnx("stereo", tmp_path / "stereo.onnx", model="lambert", dtype=torch.float16)
     session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])

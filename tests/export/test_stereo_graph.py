@@ -52,6 +52,7 @@ def test_highlights_and_shadows_on_some_images_do_not_bend_lambert() -> None:
     assert angular_error(found, normal, mask).summary()["mean"] < 1.5
 
 
+@pytest.mark.slow
 def test_three_lights_are_enough_for_lambert(graph: Path) -> None:
     images, lights, mask, normal = photographs(0, count=3, channels=1, noise=0.0)
     lit = mask & (images > 0.02).all(0)
@@ -62,6 +63,7 @@ def test_three_lights_are_enough_for_lambert(graph: Path) -> None:
 
 
 @pytest.mark.parametrize("count", [3, 8, 40])
+@pytest.mark.slow
 def test_graph_equals_torch_and_repeats_to_the_bit(graph: Path, count: int) -> None:
     images, lights, mask, _ = photographs(30, count)
     wanted = solve_closed_form(images, lights, mask, "vcavity")
@@ -84,6 +86,7 @@ def test_description(graph: Path) -> None:
 
 
 @pytest.mark.parametrize(("name", "bar"), [("ball", 2.1), ("cat", 7.2), ("reading", 12.0)])
+@pytest.mark.slow
 def test_real_objects(data: Path, name: str, bar: float) -> None:
     """Trimmed robust Lambert of the design page errs by 1.72, 6.65 and 11.5 degrees."""
     capture = load_capture(data / "diligent" / f"{name}PNG")

@@ -33,6 +33,7 @@ def test_perspective_fills_its_field_of_view() -> None:
 
 
 @given(eye=point, target=point)
+@pytest.mark.slow
 def test_rotation_is_a_rotation_that_looks_at_the_target(eye: tuple[float, ...], target: tuple[float, ...]) -> None:
     e, t = (torch.tensor(p, dtype=torch.float64) for p in (eye, target))
     try:

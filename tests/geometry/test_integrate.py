@@ -130,6 +130,7 @@ def test_a_depth_edge_is_left_open(camera: Camera | None) -> None:
 
 
 @pytest.mark.parametrize(("name", "bar"), [("cat", 0.074), ("pot1", 0.635), ("reading", 0.257)])
+@pytest.mark.slow
 def test_real_normals_against_published_errors(data: Path, name: str, bar: float) -> None:
     """Mean absolute depth error in mm, up to scale: no worse than bilateral normal integration is reported."""
     case = evaluate_integration.from_folder(data / "integration" / name)

@@ -11,6 +11,7 @@ from torch_orennayar.io.results import write_reconstruction
 from torch_orennayar.reconstruction import stack
 
 
+@pytest.mark.slow
 def test_findings_are_stored_with_code_and_value(capture_folder: Path, tmp_path: Path) -> None:
     capture = load_capture(capture_folder)
     assert [note.code for note in capture.notes] == ["read-as-linear"]

@@ -230,6 +230,7 @@ def odd_models() -> Iterator[None]:
 
 @pytest.mark.usefixtures("odd_models")
 @pytest.mark.parametrize("name", ["albedo alone", "no albedo", "constant"])
+@pytest.mark.slow
 def test_models_may_leave_arguments_out(name: str) -> None:
     scene = random_scene("one light")[:5]
     wide = [*scene[:3], torch.full((1, 3, 1, 1), 0.5, dtype=torch.float64, requires_grad=True), scene[4]]
@@ -259,6 +260,7 @@ def test_anomaly_mode_sees_nothing_where_the_background_is_nan(model: str) -> No
 
 
 @pytest.mark.parametrize("model", ["vcavity", "full"])
+@pytest.mark.slow
 def test_nan_irradiance_of_the_background_reaches_no_gradient_where_checks_do_not_look(model: str) -> None:
     normal = UP.repeat(1, 1, 1, 3)
     normal[..., 0] = 0
@@ -274,6 +276,7 @@ def test_nan_irradiance_of_the_background_reaches_no_gradient_where_checks_do_no
 
 
 @pytest.mark.parametrize("model", ["lambert", "qualitative", "vcavity", "eon"])
+@pytest.mark.slow
 def test_an_infinite_direction_is_dark_however_it_is_computed(model: str) -> None:
     normal, light = torch.tensor([[0.6, 0.0, 0.8]]), torch.tensor([[-0.6, 0.0, 0.8]])
     view = torch.tensor([[torch.inf, 0.6, 0.8], [0.0, 0.0, 1.0]])  # a map of which one is bad

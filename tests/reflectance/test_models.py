@@ -70,6 +70,7 @@ def test_eon_is_the_published_formula(ti: float, to: float, dphi: float, rho: fl
 
 
 @pytest.mark.parametrize("degrees", [10, 20, 30, 45, 60])
+@pytest.mark.slow
 def test_vcavity_follows_the_theory(degrees: int) -> None:
     """A dark surface, where two bounces are the whole theory: 30 directions against the integral."""
     rho, sigma = 0.05, math.radians(degrees)
@@ -87,6 +88,7 @@ def test_vcavity_follows_the_theory(degrees: int) -> None:
     assert worst <= 0.03
 
 
+@pytest.mark.slow
 def test_vcavity_is_near_all_bounces_and_returns_all_light() -> None:
     """Directions of the test's own; every roughness and albedo beats the full 1994 model."""
     draw = torch.Generator().manual_seed(11)
@@ -164,6 +166,7 @@ def minnaert() -> object:
 
 
 @pytest.mark.usefixtures("minnaert")
+@pytest.mark.slow
 def test_a_registered_model_works_in_layer_and_export(tmp_path: object) -> None:
     normal = torch.tensor([0.0, 0.6, 0.8]).reshape(1, 3, 1, 1)
     light = torch.tensor([[0.0, 0.0, 1.0]])

@@ -42,6 +42,7 @@ def test_two_bounces_are_the_papers_integrals(case: tuple[float, ...]) -> None:
 
 
 @pytest.mark.parametrize(("case", "seed"), [(c, i) for i, c in enumerate(cases(10, 2))])
+@pytest.mark.slow
 def test_all_bounces_are_the_ray_tracers(case: tuple[float, ...], seed: int) -> None:
     ti, to, dphi, rho, sigma = case
     traced, noise = oracles.vcavity_traced(ti, to, dphi, rho, sigma, count=100_000, seed=seed)
@@ -49,6 +50,7 @@ def test_all_bounces_are_the_ray_tracers(case: tuple[float, ...], seed: int) -> 
     assert abs(found - traced) <= 4 * noise + 5e-4
 
 
+@pytest.mark.slow
 def test_white_grooves_lose_no_light() -> None:
     cosine = torch.tensor([0.15, 0.5, 1.0], dtype=torch.float64)
     albedo = directional_albedo(cosine, 1.0, torch.tensor(0.9, dtype=torch.float64), model="theory")
@@ -88,6 +90,7 @@ def test_half_precision_and_empty_batches_work() -> None:
     assert oren_nayar(normal[:0], normal, normal, 0.5, 0.4, model="theory").shape == (0, 1)
 
 
+@pytest.mark.slow
 def test_reference_by_quadrature_and_by_ray_tracing(data: Path) -> None:
     table = {k: torch.from_numpy(v).double() for k, v in np.load(data / "theory" / "vcavity_reference.npz").items()}
     rows = torch.randperm(len(table["sigma"]), generator=torch.Generator().manual_seed(0))[:3000]

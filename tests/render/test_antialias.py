@@ -82,6 +82,7 @@ def test_the_same_for_a_ball_whose_faces_are_large_or_below_a_pixel(camera: Came
 @pytest.mark.parametrize(
     "camera", [Camera.orthographic(1.03), Camera.perspective(0.9, (0.2, 0.3, 2.6))], ids=["o", "p"]
 )
+@pytest.mark.slow
 def test_gradients_by_finite_differences(camera: Camera) -> None:
     vertices, faces = tumbled(1)
 
@@ -153,6 +154,7 @@ def test_a_batch_is_its_views() -> None:
         assert torch.allclose(both[view], one[0], atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_shape_moves_and_grows_to_a_target_mask() -> None:
     """From hard masks alone there would be no gradient at all."""
     vertices, faces = tumbled(3, 0.4)

@@ -88,6 +88,7 @@ grid_point = st.tuples(st.integers(-20, 100), st.integers(-20, 100), st.integers
 
 @pytest.mark.parametrize("scale", [1 / 16, 1 / 4, 40.0], ids=["small", "on the grid", "huge"])
 @given(soup=st.lists(st.tuples(grid_point, grid_point, grid_point), min_size=1, max_size=6))
+@pytest.mark.slow
 def test_any_triangles_against_whole_numbers(scale: float, soup: list[object]) -> None:
     """Edges through pixel centres, slivers, level edges, ties of corners: to the last pixel."""
     size = (7, 10)
@@ -298,6 +299,7 @@ def test_nothing_to_see() -> None:
 
 
 @pytest.mark.parametrize("perspective", [False, True])
+@pytest.mark.slow
 def test_gradients_reach_vertices_and_camera(perspective: bool) -> None:
     ball = trimesh.creation.icosphere(1)
     vertices = torch.tensor(ball.vertices).double().requires_grad_()
@@ -312,6 +314,7 @@ def test_gradients_reach_vertices_and_camera(perspective: bool) -> None:
     assert gradcheck(maps, (vertices, eye), eps=1e-7, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_gradients_reach_vertex_normals() -> None:
     vertices, faces = sphere(1)
     given_normals = vertices.double().clone().requires_grad_()
@@ -414,6 +417,7 @@ def test_a_closed_surface_covers_every_pixel_as_often_from_behind(
 @pytest.mark.parametrize(
     "camera", [Camera.orthographic(1.02), Camera.perspective(0.8, (0.4, 0.9, 2.6))], ids=["o", "p"]
 )
+@pytest.mark.slow
 def test_real_meshes_cover_what_whole_numbers_say(
     data: object, monkeypatch: pytest.MonkeyPatch, name: str, camera: Camera
 ) -> None:
@@ -469,6 +473,7 @@ def test_shading_takes_the_view_of_the_camera() -> None:
     assert torch.equal(flat.shade(layer, lights), layer(flat.normal, lights))
 
 
+@pytest.mark.slow
 def test_gradients_reach_focal_length_and_second_derivatives_exist() -> None:
     ball = trimesh.creation.icosphere(1)
     ball.apply_transform(trimesh.transformations.random_rotation_matrix(np.array([0.1, 0.2, 0.3])))
@@ -498,6 +503,7 @@ def test_tiles_give_the_gradient_of_one_piece(monkeypatch: pytest.MonkeyPatch) -
 
 
 @pytest.mark.parametrize("name", MESHES)
+@pytest.mark.slow
 def test_real_meshes_show_what_rays_meet(data: object, name: str) -> None:
     """A sample of pixels against trimesh's ray casting."""
     vertices, faces = load_mesh(f"{data}/meshes/{name}.obj")

@@ -11,6 +11,7 @@ from torch_orennayar import Camera, RangeError, ShapeError, cast_shadows, render
 from torch_orennayar.geometry.primitives import spiral_lights
 
 
+@pytest.mark.slow
 def test_shadows_are_those_of_rays() -> None:
     """Two balls over a floor against rays traced by trimesh; pixels whose neighbours differ are left out."""
     parts = [

@@ -133,6 +133,7 @@ SAMPLE: dict[str, dict[str, Any]] = {
 }
 
 
+@pytest.mark.slow
 def test_charts_are_drawn_from_the_results(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name, sections in SAMPLE.items():
         record.record(name, sections, folder=tmp_path)

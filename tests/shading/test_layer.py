@@ -131,6 +131,7 @@ def test_gradients_of_every_argument(model: str) -> None:
 
 @pytest.mark.parametrize("dtype", [torch.float64, torch.float32, torch.bfloat16, torch.float16])
 @pytest.mark.parametrize("model", ALL)
+@pytest.mark.slow
 def test_values_and_gradients_are_finite_where_others_fail(model: str, dtype: torch.dtype) -> None:
     tiny = 1e-3
     side, low = torch.tensor([1.0, 0, 0]), F.normalize(torch.tensor([1.0, 0, tiny]), dim=0)
@@ -271,6 +272,7 @@ def test_vmap() -> None:
 
 
 @pytest.mark.parametrize("model", CLOSED)
+@pytest.mark.slow
 def test_function_transforms_agree_with_autograd(model: str) -> None:
     """jacrev, jacfwd, vmap of grad, and the vectorised Jacobian of autograd."""
     scene = facing_scene()
@@ -309,6 +311,7 @@ def test_hessians_agree_between_transforms_and_autograd(model: str) -> None:
 
 
 @pytest.mark.parametrize("model", CLOSED)
+@pytest.mark.slow
 def test_second_derivatives_and_forward_mode(model: str) -> None:
     inputs = [t.requires_grad_() for t in facing_scene()]
     assert torch.autograd.gradgradcheck(lambda *a: oren_nayar(*a, model=model), inputs)
@@ -316,6 +319,7 @@ def test_second_derivatives_and_forward_mode(model: str) -> None:
 
 
 @pytest.mark.parametrize("model", CLOSED)
+@pytest.mark.slow
 def test_compiles_in_one_graph_with_gradients(model: str) -> None:
     """A background of NaN too: checks are off inside a graph, and it must still reach no gradient."""
     layer = OrenNayar(model)
@@ -337,6 +341,7 @@ def test_compiles_in_one_graph_with_gradients(model: str) -> None:
 
 
 @pytest.mark.parametrize("model", ["qualitative", "vcavity", "eon"])
+@pytest.mark.slow
 def test_compiled_gradients_of_every_argument_at_any_batch_and_size(model: str) -> None:
     def shade(*a: Tensor) -> Tensor:
         return oren_nayar(*a[:5], irradiance=a[5], model=model)
@@ -355,6 +360,7 @@ def test_compiled_gradients_of_every_argument_at_any_batch_and_size(model: str) 
             assert torch.allclose(a, b, rtol=1e-9, atol=1e-10)
 
 
+@pytest.mark.slow
 def test_torch_export() -> None:
     normal, light = unit(2, 3, 4, 5).float(), unit(2, 3).float()
     program = torch.export.export(OrenNayar("vcavity"), (normal, light), {"roughness": torch.tensor(0.4)})

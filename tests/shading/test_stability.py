@@ -17,6 +17,7 @@ HALVES = (torch.bfloat16, torch.float16)
 
 
 @pytest.mark.parametrize("name", CASES)
+@pytest.mark.slow
 def test_models_are_right_or_refuse(name: str) -> None:
     case = CASES[name]
     for model in MODELS:
@@ -27,6 +28,7 @@ def test_models_are_right_or_refuse(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", [n for n, case in CASES.items() if not case.mistake])
+@pytest.mark.slow
 def test_compiled_graphs_are_as_stable(name: str) -> None:
     """Where checks do not look: values and gradients of the compiled layer, bad data included."""
     for model in ("qualitative", "vcavity", "full"):
@@ -46,6 +48,7 @@ def test_copied_implementations_are_right_where_usual_and_fail_at_the_normal(cop
 
 
 @pytest.mark.parametrize("model", MODELS)
+@pytest.mark.slow
 def test_half_precision_is_within_two_units_in_the_last_place(model: str) -> None:
     draw = torch.Generator().manual_seed(4)
     count = 300 if model == "theory" else 20_000

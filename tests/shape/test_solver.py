@@ -45,6 +45,7 @@ def bumpy() -> Field:
     return height_fields.make("bumpy ellipsoid", SIZE)
 
 
+@pytest.mark.slow
 def test_pictures_are_the_theorys(bumpy: Field) -> None:
     """The table that makes them against the quadrature itself."""
     image = photograph(bumpy, LIGHT, math.radians(40), noise=0)
@@ -57,6 +58,7 @@ def test_pictures_are_the_theorys(bumpy: Field) -> None:
 
 
 @pytest.mark.parametrize("degrees", [30, 45])
+@pytest.mark.slow
 def test_rough_surfaces_need_a_rough_model(bumpy: Field, degrees: int) -> None:
     """The bars: median 2 degrees, mean 4, a third of what Lambert gives; the classic form is worse than Lambert.
 
@@ -78,6 +80,7 @@ def test_rough_surfaces_need_a_rough_model(bumpy: Field, degrees: int) -> None:
     assert classic["median"] > lambert["median"]
 
 
+@pytest.mark.slow
 def test_the_simplest_sufficient_model_is_taken(bumpy: Field) -> None:
     image = photograph(bumpy, LIGHT, 0.0)[:, ::4, ::4]
     mask = bumpy.mask[:, ::4, ::4]
@@ -90,6 +93,7 @@ def test_the_simplest_sufficient_model_is_taken(bumpy: Field) -> None:
     assert shape_from_shading(image, LIGHT, mask, albedo=maps[0], roughness=maps[1]).model == "lambert"
 
 
+@pytest.mark.slow
 def test_smooth_surfaces_are_no_worse_than_by_lambert(bumpy: Field) -> None:
     image = photograph(bumpy, LIGHT, 0.0)
     found = errors(shape_from_shading(image, LIGHT, bumpy.mask, albedo=0.8, roughness=0.0), bumpy)
@@ -98,6 +102,7 @@ def test_smooth_surfaces_are_no_worse_than_by_lambert(bumpy: Field) -> None:
     assert found["median"] <= 2.0
 
 
+@pytest.mark.slow
 def test_depth_belongs_to_the_normals(bumpy: Field) -> None:
     image = photograph(bumpy, LIGHT, 0.5)
     found = shape_from_shading(image, LIGHT, bumpy.mask, albedo=0.8, roughness=0.5)
@@ -109,6 +114,7 @@ def test_depth_belongs_to_the_normals(bumpy: Field) -> None:
     assert (difference - difference.mean()).abs().mean() < 0.03 * SIZE
 
 
+@pytest.mark.slow
 def test_result_is_the_same_again_and_in_a_batch(bumpy: Field) -> None:
     image = photograph(bumpy, LIGHT, 0.5)
     alone = shape_from_shading(image, LIGHT, bumpy.mask, albedo=0.8, roughness=0.5)
@@ -126,6 +132,7 @@ def test_result_is_the_same_again_and_in_a_batch(bumpy: Field) -> None:
         assert torch.equal(both.depth[index], alone.depth)
 
 
+@pytest.mark.slow
 def test_frontal_light_is_reported(bumpy: Field) -> None:
     frontal = torch.tensor((0.0, 0.0, 1.0))
     image = photograph(bumpy, frontal, 0.5)
@@ -155,6 +162,7 @@ def test_the_inflated_silhouette_of_an_ellipse_is_half_an_ellipsoid() -> None:
         silhouette_normals(mask.float())
 
 
+@pytest.mark.slow
 def test_without_contour(bumpy: Field) -> None:
     """A part of a surface: reported, near the truth, nearer with a few known heights."""
     sheet = height_fields.make("wavy sheet", SIZE)
@@ -176,6 +184,7 @@ def test_start_from_a_depth(bumpy: Field) -> None:
     assert errors(found, bumpy)["median"] < 2.5
 
 
+@pytest.mark.slow
 def test_albedo_and_roughness_are_estimated_and_reported(bumpy: Field) -> None:
     image = photograph(bumpy, LIGHT, math.radians(30))
     found = shape_from_shading(image, LIGHT, bumpy.mask, albedo=None, roughness=None)
@@ -188,6 +197,7 @@ def test_albedo_and_roughness_are_estimated_and_reported(bumpy: Field) -> None:
     assert errors(found, bumpy)["median"] < 8
 
 
+@pytest.mark.slow
 def test_shadow_is_counted_and_bridged(bumpy: Field) -> None:
     """A cast shadow over a third of the object, which no reflectance explains."""
     image = photograph(bumpy, LIGHT, 0.5)
@@ -202,6 +212,7 @@ def test_shadow_is_counted_and_bridged(bumpy: Field) -> None:
     assert found.confidence[shadow].mean() < found.confidence[away].mean()
 
 
+@pytest.mark.slow
 def test_albedo_map(bumpy: Field) -> None:
     """Half of the object is darker: with the map as good as without, with one number it is read as slope."""
     albedo = torch.full_like(bumpy.mask.float(), 0.8)
@@ -213,6 +224,7 @@ def test_albedo_map(bumpy: Field) -> None:
     assert errors(given, bumpy)["median"] < 0.4 * errors(without, bumpy)["median"]
 
 
+@pytest.mark.slow
 def test_ambient_light(bumpy: Field) -> None:
     """A tenth of the light from all around: given or estimated it does little harm, ignored it is read as shape."""
     image = photograph(bumpy, LIGHT, 0.5) + 0.8 * 0.1 * bumpy.mask
@@ -229,6 +241,7 @@ def test_ambient_light(bumpy: Field) -> None:
     assert ((again - image).abs() - found.residual)[bumpy.mask].abs().max() < 1e-5
 
 
+@pytest.mark.slow
 def test_ambient_map(bumpy: Field) -> None:
     """More on one side: a map, also in a batch, and whatever is outside the mask."""
     ambient = torch.linspace(0, 0.2, SIZE).expand(1, SIZE, SIZE)
@@ -252,6 +265,7 @@ def ball(camera: Camera) -> tuple[Field, Tensor]:
     return Field("ball", depth[None], F.normalize(normal, dim=0), mask[None], True), depth[None]
 
 
+@pytest.mark.slow
 def test_perspective_and_a_near_light() -> None:
     camera = Camera.perspective(math.radians(32))
     field, depth = ball(camera)
@@ -269,6 +283,7 @@ def test_perspective_and_a_near_light() -> None:
 
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 7), (5, 1), (3, 4)])
+@pytest.mark.slow
 def test_tiny_images(size: tuple[int, int]) -> None:
     found = shape_from_shading(torch.full((1, *size), 0.4), LIGHT)
     assert found.normal.shape == (3, *size)
@@ -303,6 +318,7 @@ def test_bad_input(change: dict[str, object], error: type[Exception], words: str
         shape_from_shading(**{**good, **change})  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_a_picture_that_is_not_understood_falls_back_on_the_silhouette() -> None:
     """Paint in patches, which the model takes for slopes: the ball stays a ball."""
     field, light = height_fields.make("sphere cap", 96), light_at(30)
@@ -320,6 +336,7 @@ class TestWindow:
         field = height_fields.make("sphere cap", size)
         return photograph(field, LIGHT, 0.5), field.mask
 
+    @pytest.mark.slow
     def test_where_it_lies_and_how_much_is_about_it_do_not_matter(self) -> None:
         image, mask = self.ball()
         found = []
@@ -334,6 +351,7 @@ class TestWindow:
         tight = shape_from_shading(image, LIGHT, mask, albedo=0.8, roughness=0.5).normal
         assert angular_error(found[0], tight, mask).summary()["mean"] < 0.5
 
+    @pytest.mark.slow
     def test_maps_and_depths_are_cropped_with_the_picture(self) -> None:
         """In perspective, off the middle, every input a map that is NaN outside the mask."""
         image, mask = self.ball()
@@ -370,6 +388,7 @@ class TestWindow:
         assert angular_error(again.normal, given.normal, inside).summary()["mean"] < 1
 
     @pytest.mark.parametrize(("rows", "columns"), [(1, 1), (60, 1), (3, 90)])
+    @pytest.mark.slow
     def test_small_and_thin_masks(self, rows: int, columns: int) -> None:
         inside = torch.zeros(1, 100, 120, dtype=torch.bool)
         inside[:, 20 : 20 + rows, 10 : 10 + columns] = True
@@ -378,6 +397,7 @@ class TestWindow:
         assert torch.allclose(found.normal[:, inside[0]].norm(dim=0), torch.ones(1, dtype=torch.float64))
         assert not found.normal[:, ~inside[0]].any()
 
+    @pytest.mark.slow
     def test_a_frontal_near_light_is_judged_inside_the_mask(self) -> None:
         image, mask = self.ball()
         light = torch.where(mask, torch.tensor([0.0, 0.0, 1.0]).reshape(3, 1, 1), math.nan)

@@ -66,6 +66,7 @@ def test_intensities_from_a_grey_ball() -> None:
     assert torch.allclose(found, strength / strength.mean(0), rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_intensities_from_the_capture_itself(smooth: Scene) -> None:
     """Unknown within 30 %: found within 1 %, and the normals are as good as with the true ones."""
     strength = 1 + 0.3 * (2 * torch.rand(len(smooth.lights), 1, generator=torch.Generator().manual_seed(1)) - 1)

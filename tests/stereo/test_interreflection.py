@@ -28,6 +28,7 @@ def groove(length: int, width: int) -> Tensor:
 
 
 @pytest.mark.parametrize("albedo", [0.2, 0.5, 0.8])
+@pytest.mark.slow
 def test_hollows_determine_the_albedo_and_then_their_shape(
     meshes: dict[str, tuple[Tensor, Tensor]], albedo: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -47,6 +48,7 @@ def test_hollows_determine_the_albedo_and_then_their_shape(
     assert errors[0] < 0.9 * errors[1]
 
 
+@pytest.mark.slow
 def test_a_body_without_hollows_is_left_alone(meshes: dict[str, tuple[Tensor, Tensor]]) -> None:
     scene = rendered_captures.hollow_capture(meshes["bumps"], 0.8, size=96)
     interreflected, finding = choose_interreflected_light(scene.images, scene.lights, scene.mask[0], Material(), 0)
@@ -80,6 +82,7 @@ def test_two_parts_that_are_not_connected_do_not_light_each_other(most: int, mon
     assert find_interreflected_light(torch.where(joined, images + 1e-3, 0), lights, joined).share.max() > 0.05
 
 
+@pytest.mark.slow
 def test_rows_pixels_and_the_whole_agree(
     meshes: dict[str, tuple[Tensor, Tensor]], monkeypatch: pytest.MonkeyPatch
 ) -> None:

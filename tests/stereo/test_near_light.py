@@ -60,6 +60,7 @@ def photographs(camera: Camera, model: str, roughness: float) -> tuple[Tensor, T
 @pytest.mark.filterwarnings("ignore:take the roughness as unknown")  # near lights taken as distant do not determine it
 @pytest.mark.parametrize("camera", CAMERAS, ids=["orthographic", "perspective"])
 @pytest.mark.parametrize(("model", "roughness"), [("lambert", 0.0), ("vcavity", math.radians(30))])
+@pytest.mark.slow
 def test_sphere_under_near_lights(camera: Camera, model: str, roughness: float) -> None:
     images, positions, normal, mask, depth = photographs(camera, model, roughness)
     # The distance that a user measures is the mean of the surface itself.
@@ -77,6 +78,7 @@ def test_sphere_under_near_lights(camera: Camera, model: str, roughness: float) 
         assert abs(found.roughness[mask].mean() - roughness) < math.radians(3)
 
 
+@pytest.mark.slow
 def test_maps_of_distant_lights_are_distant_lights() -> None:
     images, _, _, mask, _ = photographs(CAMERAS[0], "vcavity", 0.5)
     lights = spiral_lights(16)

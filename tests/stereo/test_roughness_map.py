@@ -31,6 +31,7 @@ def levels_of(height: int, width: int) -> list[SolvedMaps]:
 
 
 @pytest.mark.parametrize(("left", "right"), [(10, 45), (0, 50)])
+@pytest.mark.slow
 def test_a_map_is_found_where_one_roughness_is_not_enough(left: float, right: float) -> None:
     scene, truth = rendered_captures.patched_capture(left, right)
     found = photometric_stereo(scene.images, scene.lights, scene.mask)
@@ -51,6 +52,7 @@ def test_a_map_is_found_where_one_roughness_is_not_enough(left: float, right: fl
 
 
 @pytest.mark.parametrize("degrees", [0, 30])
+@pytest.mark.slow
 def test_one_roughness_stays_one(degrees: float) -> None:
     scene, _ = rendered_captures.patched_capture(degrees, degrees)
     found = photometric_stereo(scene.images, scene.lights, scene.mask)
@@ -58,6 +60,7 @@ def test_one_roughness_stays_one(degrees: float) -> None:
     assert found.model == ("vcavity" if degrees else "lambert")
 
 
+@pytest.mark.slow
 def test_bands_leave_no_seam(monkeypatch: pytest.MonkeyPatch) -> None:
     scene, _ = rendered_captures.patched_capture(10, 45, lights=12)
     material = Material("vcavity", roughness_varies=True)

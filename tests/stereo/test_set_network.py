@@ -200,6 +200,7 @@ def test_photometric_stereo_by_the_network(rough: Scene) -> None:
     assert [f.value for f in few.report if f.code == "network-few-lights"] == [8]
 
 
+@pytest.mark.slow
 def test_graph_equals_torch_and_repeats_to_the_bit(graph: Path, rough: Scene) -> None:
     """With as many threads the same bits; another number of threads sums in another order."""
     wanted = solve_network(rough.images, rough.lights, rough.mask[0])
@@ -220,6 +221,7 @@ def test_graph_keeps_what_makes_it_fast_in_one_piece(graph: Path) -> None:
 
 
 @pytest.mark.parametrize(("name", "bar"), [("ball", 1.4), ("cat", 3.4), ("reading", 10.6)])
+@pytest.mark.slow
 def test_real_objects(data: Path, name: str, bar: float) -> None:
     """Not trained on; the design page's prototype errs by 2.16, 3.77 and 13.6 degrees."""
     capture = load_capture(data / "diligent" / f"{name}PNG")

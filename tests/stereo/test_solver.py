@@ -68,6 +68,7 @@ def test_plain_least_squares_is_least_squares(rough: Scene) -> None:
     assert angular_error(found.normal.double(), wanted, facing).summary()["p90"] < 0.01
 
 
+@pytest.mark.slow
 def test_rough_surface_needs_a_rough_model(rough: Scene) -> None:
     """The bars of the demo: half of Lambert's error, roughness within 3 degrees."""
     lambert = photometric_stereo(rough.images, rough.lights, rough.mask, model="lambert")
@@ -83,6 +84,7 @@ def test_rough_surface_needs_a_rough_model(rough: Scene) -> None:
 
 
 @pytest.mark.parametrize(("scene", "wanted"), [("rough", "vcavity"), ("smooth", "lambert")])
+@pytest.mark.slow
 def test_auto_takes_the_simplest_sufficient_model(
     scene: str, wanted: str, solved: dict[str, Reconstruction], request: pytest.FixtureRequest
 ) -> None:
@@ -119,6 +121,7 @@ def test_outside_the_mask_anything_may_be(rough: Scene) -> None:
         assert (value * ~rough.mask == 0).all()
 
 
+@pytest.mark.slow
 def test_same_seed_same_result(rough: Scene, solved: dict[str, Reconstruction]) -> None:
     first, second = solved["rough"], photometric_stereo(rough.images, rough.lights, rough.mask, seed=0)
     assert torch.equal(first.normal, second.normal)
@@ -126,6 +129,7 @@ def test_same_seed_same_result(rough: Scene, solved: dict[str, Reconstruction]) 
 
 
 @pytest.mark.parametrize("model", ["auto", "lambert"])
+@pytest.mark.slow
 def test_bands_leave_no_seam(
     meshes: dict[str, tuple[Tensor, Tensor]], model: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -141,6 +145,7 @@ def test_bands_leave_no_seam(
         assert torch.allclose(getattr(banded, name), getattr(at_once, name), atol=1e-5), name
 
 
+@pytest.mark.slow
 def test_batch_is_one_after_the_other(rough: Scene, smooth: Scene, solved: dict[str, Reconstruction]) -> None:
     images, lights = torch.stack((rough.images, smooth.images)), torch.stack((rough.lights, smooth.lights))
     both = photometric_stereo(images, lights, torch.stack((rough.mask, smooth.mask)))
@@ -215,6 +220,7 @@ def test_held_out_lights_leave_a_solvable_rest() -> None:
             assert torch.linalg.matrix_rank(lights[~out]) == 3
 
 
+@pytest.mark.slow
 def test_roughness_beyond_the_search_says_so(rough: Scene) -> None:
     normal, lights = rough.normal[None], rough.lights[None]
     images = OrenNayar("vcavity")(normal, lights, albedo=0.5, roughness=math.radians(88))[0]
@@ -281,6 +287,7 @@ def test_small_systems(size: int) -> None:
 
 
 @pytest.mark.parametrize(("name", "bar", "plain_bar"), [("ball", 1.9, 1.8), ("cat", 3.6, 6.7), ("reading", 9.3, 11.6)])
+@pytest.mark.slow
 def test_real_objects(data: Path, name: str, bar: float, plain_bar: float) -> None:
     capture = load_capture(data / "diligent" / f"{name}PNG")
     assert capture.normal is not None
@@ -298,6 +305,7 @@ def test_real_objects(data: Path, name: str, bar: float, plain_bar: float) -> No
 
 
 @pytest.mark.parametrize(("name", "wanted"), [("ball", 4.29), ("cat", 8.45), ("reading", 19.12)])
+@pytest.mark.slow
 def test_least_squares_on_real_objects(data: Path, name: str, wanted: float) -> None:
     capture = load_capture(data / "diligent" / f"{name}PNG")
     found = photometric_stereo(capture.images, capture.lights, capture.mask, model="lambert", robust=False)
@@ -310,6 +318,7 @@ def test_least_squares_on_real_objects(data: Path, name: str, wanted: float) -> 
     ("bumps", "vcavity", 10), ("bumps", "vcavity", 50), ("balls", "vcavity", 30), ("ring", "vcavity", 20),
     ("balls", "theory", 35),
 ])  # fmt: skip
+@pytest.mark.slow
 def test_rough_renders_are_recognised(
     meshes: dict[str, tuple[Tensor, Tensor]], name: str, model: str, degrees: int
 ) -> None:
@@ -326,6 +335,7 @@ def test_rough_renders_are_recognised(
 
 
 @pytest.mark.parametrize("highlights", [(), ((0.2, 0.1),), ((0.35, 0.2),)])
+@pytest.mark.slow
 def test_smooth_renders_are_not_rough(
     meshes: dict[str, tuple[Tensor, Tensor]], highlights: tuple[tuple[float, float], ...]
 ) -> None:
@@ -346,6 +356,7 @@ def glaze(meshes: dict[str, tuple[Tensor, Tensor]]) -> tuple[rendered_captures.R
     return scene, photometric_stereo(scene.images, scene.lights, scene.mask)
 
 
+@pytest.mark.slow
 def test_glaze_is_recognised(glaze: tuple[rendered_captures.Rendered, Reconstruction]) -> None:
     """An interface that turns grazing light away: Minnaert's law is near it, and takes a third off the error."""
     scene, found = glaze
@@ -362,6 +373,7 @@ def test_glaze_halves_lamberts_error(glaze: tuple[rendered_captures.Rendered, Re
     assert mean_error(found, scene) < 0.5 * mean_error(lambert, scene)
 
 
+@pytest.mark.slow
 def test_relighting_predicts_a_photograph(meshes: dict[str, tuple[Tensor, Tensor]]) -> None:
     """A coloured glossy thing of the family that is fitted: images under lights that the solver has not seen."""
     scene = rendered_captures.capture(
@@ -385,6 +397,7 @@ def test_relighting_is_what_the_solver_saw(rough: Scene, solved: dict[str, Recon
     assert torch.allclose(difference[rough.mask], found.residual[rough.mask], atol=2e-3)
 
 
+@pytest.mark.slow
 def test_lobes_of_a_batch_are_padded(smooth: Scene, meshes: dict[str, tuple[Tensor, Tensor]]) -> None:
     shiny = rendered_captures.capture(
         meshes["balls"], rendered_captures.Surface("lambert", 0, 0.6, ((0.2, 0.2),)), lights=24, size=64
@@ -402,6 +415,7 @@ def test_lobes_of_a_batch_are_padded(smooth: Scene, meshes: dict[str, tuple[Tens
         both.shade(smooth.lights)
 
 
+@pytest.mark.slow
 def test_error_of_roughness_matches_repeated_noise(rough: Scene) -> None:
     """The curvature's standard error against the spread over 12 captures that differ by noise alone."""
     clean = OrenNayar("vcavity")(rough.normal[None], rough.lights[None], albedo=0.6, roughness=math.radians(25))[0]
@@ -417,6 +431,7 @@ def test_error_of_roughness_matches_repeated_noise(rough: Scene) -> None:
 
 
 @pytest.mark.parametrize(("count", "slant", "words"), [(5, 0.6, "5 lights are few"), (12, 0.2, "of the view")])
+@pytest.mark.slow
 def test_roughness_that_the_lights_do_not_determine(rough: Scene, count: int, slant: float, words: str) -> None:
     """Few lights, or all near the view axis: the value is reported as unknown."""
     ring = torch.arange(count) * (2 * math.pi / count)
@@ -469,6 +484,7 @@ def test_saturated_pixels(smooth: Scene) -> None:
     assert mean_error(found, smooth) < mean_error(plain, smooth)
 
 
+@pytest.mark.slow
 def test_curved_images_taken_as_linear_are_suspected(meshes: dict[str, tuple[Tensor, Tensor]]) -> None:
     """The other mistake: linear images that went through the sRGB curve's inverse once more."""
     scene = rendered_captures.capture(meshes["balls"], rendered_captures.Surface("lambert", 0, 0.6), lights=24, size=64)

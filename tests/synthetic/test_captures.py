@@ -174,18 +174,21 @@ class TestScenes:
         assert 0.2 < whole.float().mean() < 1
         assert ((after < 0.01) & (before > 0.2)).any()
 
+    @pytest.mark.slow
     def test_walls_at_right_angles_light_each_other_and_a_flat_one_does_not(self) -> None:
         for faces, gains in ((WALLS, True), (WALLS[:2], False)):
             (plain,), (lit,) = (in_scenes(1, [(RIDGE, faces)], bounce=b) for b in (False, True))
             brighter = lit["observed"].mean(1) / lit["observed"].amax(1) > 1.01 * scaled(plain["observed"]).mean(1)
             assert bool(brighter.any()) == gains
 
+    @pytest.mark.slow
     def test_a_mesh_that_shows_nothing_is_an_error(self) -> None:
         line = torch.tensor([[0.0, 0, 0], [1, 1, 1], [2, 2, 2]], dtype=torch.float64), torch.tensor([[0, 1, 2]])
         source = SyntheticCaptures(scenes=1, meshes=[line])
         with pytest.raises(ton.RangeError, match="meshes"):
             [source.sample(k) for k in range(20)]
 
+    @pytest.mark.slow
     def test_what_was_drawn_before_does_not_matter(self) -> None:
         def source() -> SyntheticCaptures[SyntheticPixels]:
             return SyntheticCaptures(scenes=2, observations=300, lights=(12, 20), seed=2)
@@ -197,6 +200,7 @@ class TestScenes:
             assert torch.equal(used.sample(k)["observed"], wanted[k])
 
     @pytest.mark.parametrize("workers", [0, 2])
+    @pytest.mark.slow
     def test_scenes_rendered_before_are_those_rendered_when_needed(self, workers: int) -> None:
         before, later = (SyntheticCaptures("pixels", scenes=3, observations=600) for _ in range(2))
         before.render_scenes(workers)
@@ -230,6 +234,7 @@ class TestImages:
         assert torch.allclose(ratio, ratio.median().expand_as(ratio), rtol=1e-2)
         assert (sample["images"][:, :, ~inside] == 0).all()
 
+    @pytest.mark.slow
     def test_photometric_stereo_finds_the_truth(self) -> None:
         """With roughness, texture and noise, without shadows and highlights."""
         mix = replace(PLAIN, rough=1.0, noise=(0.005, 0.0))
@@ -275,6 +280,7 @@ class TestImages:
         assert not torch.equal(masks[0], masks[1])
 
     @given(index=st.integers(0, 2**31))
+    @pytest.mark.slow
     def test_any_picture_is_sound(self, index: int) -> None:
         sample = SyntheticCaptures("images", lights=(3, 8), size=(24, 32)).sample(index)
         assert all(bool(value.isfinite().all()) for value in tensors(sample).values())
