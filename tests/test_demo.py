@@ -29,6 +29,7 @@ def test_bars_of_the_demo(folder: Path) -> None:
     assert numbers["auto"]["model"] == "vcavity"
 
 
+@pytest.mark.slow
 def test_everything_is_written_and_readable(folder: Path) -> None:
     assert load_capture(folder / "capture").images.shape == (24, 3, 96, 96)
     vertices, faces = load_mesh(folder / "mesh.ply")
@@ -41,6 +42,7 @@ def test_everything_is_written_and_readable(folder: Path) -> None:
     assert "http" not in re.sub(r"base64,[A-Za-z0-9+/=]+", "", page)
 
 
+@pytest.mark.slow
 def test_same_seed_same_pictures() -> None:
     assert torch.equal(make_scene(32, 1).images, make_scene(32, 1).images)
     assert not torch.equal(make_scene(32, 1).images, make_scene(32, 2).images)

@@ -57,6 +57,7 @@ def test_relight(graphs: Path, tmp_path: Path, rough: Scene) -> None:
     assert np.abs(picture - wanted_picture(ton.decode_normals(stored))).max() <= 0.6
 
 
+@pytest.mark.slow
 def test_render(graphs: Path, tmp_path: Path) -> None:
     import trimesh
 
@@ -71,6 +72,7 @@ def test_render(graphs: Path, tmp_path: Path) -> None:
     assert np.abs(picture - wanted_picture(seen.normal[0])).max() <= 0.6
 
 
+@pytest.mark.slow
 def test_solve(graphs: Path, tmp_path: Path, rough: Scene) -> None:
     save_capture(tmp_path / "capture", rough.images, rough.lights, rough.mask)
     done = app("solve", graphs / "stereo.onnx", tmp_path / "capture", tmp_path / "out")
@@ -91,6 +93,7 @@ def test_solve(graphs: Path, tmp_path: Path, rough: Scene) -> None:
         (("solve", "shading", "capture", "out"), "takes albedo, light"),
     ],
 )
+@pytest.mark.slow
 def test_mistakes_get_one_line(
     graphs: Path, tmp_path: Path, rough: Scene, arguments: tuple[str, ...], message: str
 ) -> None:

@@ -103,6 +103,7 @@ def test_two_torn_checkpoints_are_an_error(tmp_path: Path) -> None:
         example.train(example.parse([*SMALL, "--steps", "2", "-o", str(tmp_path)]))
 
 
+@pytest.mark.slow
 def test_a_checkpoint_of_another_task_is_an_error(whole: Path) -> None:
     example = load("train_photometric_stereo")
     with pytest.raises(FileError, match="'steps': 13"):

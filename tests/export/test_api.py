@@ -225,6 +225,7 @@ def test_renderer_sees_the_same_faces_of_real_meshes(renderer: tuple[str, Path, 
     check_render(renderer, normalise_mesh(vertices), faces)
 
 
+@pytest.mark.slow
 def test_renderer_is_a_small_file_without_races(renderer: tuple[str, Path, Camera]) -> None:
     what, path, _ = renderer
     described = describe_onnx(path)

@@ -73,6 +73,7 @@ def test_graph_equals_torch_and_repeats_to_the_bit(graph: Path, count: int) -> N
         assert all(torch.equal(a[name], answers[0][name]) for a in answers[1:])
 
 
+@pytest.mark.slow
 def test_description(graph: Path) -> None:
     described = describe_onnx(graph)
     assert described["inputs"] == {

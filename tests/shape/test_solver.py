@@ -177,6 +177,7 @@ def test_without_contour(bumpy: Field) -> None:
     assert (given.depth - sheet.height).abs().mean() < 0.5  # pixels; known heights set the level
 
 
+@pytest.mark.slow
 def test_start_from_a_depth(bumpy: Field) -> None:
     image = photograph(bumpy, LIGHT, 0.5)
     start = bumpy.height.float() * 0.8

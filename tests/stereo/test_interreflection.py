@@ -57,6 +57,7 @@ def test_a_body_without_hollows_is_left_alone(meshes: dict[str, tuple[Tensor, Te
     assert "hardly" in finding
 
 
+@pytest.mark.slow
 def test_shadows_without_bounces_are_not_taken_for_some(meshes: dict[str, tuple[Tensor, Tensor]]) -> None:
     """As dark a surface as there is: hollows that send nothing."""
     scene = rendered_captures.hollow_capture(meshes["balls"], 1e-3, size=96)

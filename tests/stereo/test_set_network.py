@@ -212,6 +212,7 @@ def test_graph_equals_torch_and_repeats_to_the_bit(graph: Path, rough: Scene) ->
         assert all(torch.allclose(value, other[name], rtol=0, atol=atol) for name, value in answers[0].items())
 
 
+@pytest.mark.slow
 def test_graph_keeps_what_makes_it_fast_in_one_piece(graph: Path) -> None:
     """Products with their biases are a node each; what is normalised are pixels, not every light of theirs."""
     described = describe_onnx(graph)
