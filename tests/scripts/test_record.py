@@ -52,7 +52,7 @@ def test_a_partial_run_keeps_the_other_sections(tmp_path: Path) -> None:
     record.record("some", {"a": {"x": 9}}, quick=["a"], folder=tmp_path)
     second = json.loads((tmp_path / "some.json").read_text(encoding="utf-8"))
     assert second["a"] == first["a"]
-    assert record.load_section("some", "a", tmp_path).results == {"x": 1.2346}
+    assert record.load_section("some", "a", tmp_path).results == {"x": 1.2345679}
     assert record.load_section("some", "b", tmp_path).results == 3
     assert set(second) == {"a", "b", "a (quick)"}
     with pytest.raises(record.NotMeasuredError):
@@ -79,7 +79,7 @@ def test_objects_of_one_kind_are_found_together(tmp_path: Path) -> None:
 
 def test_results_become_plain_json() -> None:
     given: Any = {1.5: (np.float64(1 / 3), np.int64(2), math.nan), "x": [True, None, math.inf]}
-    assert record.simplify(given) == {"1.5": [0.33333, 2, None], "x": [True, None, None]}
+    assert record.simplify(given) == {"1.5": [0.33333333, 2, None], "x": [True, None, None]}
     with pytest.raises(TypeError, match="set"):
         record.simplify({"x": {1}})
 
