@@ -30,7 +30,8 @@ if TYPE_CHECKING:  # what type checkers and editors read; at run time `__getattr
     from .geometry.mesh import load_mesh, normalise_mesh, save_mesh, vertex_normals
     from .geometry.metrics import AngularError, angular_error
     from .io.capture import Capture, load_capture
-    from .io.images import decode_normals, encode_normals, linear_to_srgb, srgb_to_linear
+    from .io.images import decode_normals, encode_normals
+    from .io.srgb import linear_to_srgb, srgb_to_linear
     from .reconstruction import BatchReconstruction, Reconstruction
     from .reflectance.model_choice import ModelChoice, simplest_model
     from .reflectance.models import MODELS, Model, register_model
@@ -84,6 +85,8 @@ _HOMES = {
     "io.images": (
         "decode_normals",
         "encode_normals",
+    ),
+    "io.srgb": (
         "linear_to_srgb",
         "srgb_to_linear",
     ),

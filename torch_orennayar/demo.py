@@ -24,9 +24,9 @@ from .geometry.metrics import angular_error
 from .geometry.primitives import bumpy_ball, spiral_lights
 from .io.capture import Capture, load_capture, save_capture
 from .io.figures import save_maps, save_sheet, show_light, show_normals
-from .io.images import linear_to_srgb
 from .io.report import Section, write_report
 from .io.result_numbers import FindingEntry, finding_entries
+from .io.srgb import linear_to_srgb
 from .reconstruction import Reconstruction
 from .render.normal_map import NormalMap, render_normals
 from .shading.layer import OrenNayar

@@ -1,4 +1,4 @@
-"""Atomic output: files are written to a temporary folder and moved into place when complete."""
+"""Names that libraries can take, and atomic output: a file is moved into place when it is complete."""
 
 from __future__ import annotations
 

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-import io
+import os
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import BinaryIO
 
 import numpy as np
 import numpy.typing as npt
+import torch
 
 from ..core.optional import require
 from .icc import ProfileError, read_profile
+from .srgb import srgb_to_linear
 
 Floats = npt.NDArray[np.float32]
 
@@ -44,12 +47,14 @@ class StatedEncoding:
 
 
 def srgb_curve(samples: Floats) -> Floats:
-    """The sRGB curve undone (IEC 61966-2-1)."""
-    bright = np.maximum((samples + 0.055) / 1.055, 0) ** 2.4
-    return np.where(samples <= 0.04045, samples / 12.92, bright).astype(np.float32)
+    """The sRGB curve undone, `srgb_to_linear` of samples (H, W) or (H, W, 3)."""
+    picture = torch.from_numpy(samples)
+    planes = picture[None] if picture.ndim == 2 else picture.permute(2, 0, 1)
+    light: Floats = srgb_to_linear(planes).permute(1, 2, 0).numpy()
+    return light[..., 0] if samples.ndim == 2 else light
 
 
-def stated_encoding(data: bytes) -> StatedEncoding | None:
+def stated_encoding(file: BinaryIO) -> StatedEncoding | None:
     """What the header of a PNG, JPEG, TIFF, WebP, Radiance or OpenEXR file says; None where it says nothing.
 
     Of a PNG's chunks cICP counts before iCCP, iCCP before sRGB, sRGB before gAMA (section 4.3 of PNG, third edition).
@@ -57,13 +62,14 @@ def stated_encoding(data: bytes) -> StatedEncoding | None:
     Raises:
         EncodingError: an encoding that cannot be obeyed: look-up tables, CMYK profiles, HDR transfers.
     """
-    if data[:4] == b"\x76\x2f\x31\x01" or data[:2] == b"#?":
+    start = file.read(4)
+    if start == b"\x76\x2f\x31\x01" or start[:2] == b"#?":
         return _linear("its format")
-    header = _header(data)
+    header = _header(file)
     if header is None:
         return None
     info, kind = header
-    if kind == "PNG" and (transfer := _png_transfer(data)) is not None:
+    if kind == "PNG" and (transfer := _png_transfer(file)) is not None:
         return _by_transfer(transfer)
     profile = info.get("icc_profile")
     if isinstance(profile, bytes) and profile:
@@ -77,22 +83,21 @@ def stated_encoding(data: bytes) -> StatedEncoding | None:
     return _by_exif(info.get("exif"))
 
 
-def _header(data: bytes) -> tuple[dict[object, object], str] | None:
+def _header(file: BinaryIO) -> tuple[dict[object, object], str] | None:
     """Pillow's view of the header; None for formats that it does not know."""
     require("PIL")
     import PIL.Image
 
+    file.seek(0)
     try:
-        with PIL.Image.open(io.BytesIO(data)) as picture:
+        with PIL.Image.open(file) as picture:
             info = dict(picture.info)
             exif = picture.getexif()
             names = {exif.get(_EXIF_COLOUR_SPACE), exif.get_ifd(0x8769).get(_EXIF_COLOUR_SPACE)}
             index = exif.get_ifd(_EXIF_INTEROPERABILITY).get(1)
             info["exif"] = (1 in names, str(index).strip("\0") == "R03")
             return info, str(picture.format)
-    except (
-        Exception
-    ):  # Pillow raises many kinds for headers it does not know; whether the file is whole is read elsewhere
+    except Exception:  # Pillow raises many kinds for headers it does not know; damage is found while decoding
         return None
 
 
@@ -145,14 +150,15 @@ def _bt709(samples: Floats) -> Floats:
     return np.where(samples < 0.081, samples / 4.5, bright).astype(np.float32)
 
 
-def _png_transfer(data: bytes) -> int | None:
+def _png_transfer(file: BinaryIO) -> int | None:
     """Transfer characteristics of the cICP chunk, which Pillow does not read."""
-    at = 8
-    while at + 12 <= len(data):
-        length, name = struct.unpack_from(">I4s", data, at)
-        if name == b"cICP" and length >= 2 and at + 10 <= len(data):
-            return data[at + 9]
+    file.seek(8)
+    while len(head := file.read(8)) == 8:
+        length, name = struct.unpack(">I4s", head)
+        if name == b"cICP":
+            content = file.read(2)
+            return content[1] if len(content) == 2 else None
         if name == b"IDAT":
             return None
-        at += 12 + length
+        file.seek(length + 4, os.SEEK_CUR)
     return None

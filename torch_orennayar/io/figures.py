@@ -12,7 +12,8 @@ import torch
 from torch import Tensor
 
 from ..core.optional import require
-from .images import encode_normals, linear_to_srgb
+from .images import encode_normals
+from .srgb import linear_to_srgb
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -115,21 +116,6 @@ def save_bars(path: PathLike, values: Mapping[str, float], *, unit: str, highlig
     axis.bar_label(bars, [f" {values[n]:.3g}" for n in names], fontsize=9)
     axis.margins(x=0.15)
     axis.set_xlabel(f"{unit} (lower is better)", fontsize=9)
-    axis.spines[["top", "right"]].set_visible(False)
-    return _save(figure, path)
-
-
-def save_curves(path: PathLike, curves: Mapping[str, Sequence[float]]) -> Path:
-    """Write a chart of losses by step, on a logarithmic scale."""
-    require("matplotlib")
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(5, 3), layout="constrained")
-    axis = figure.subplots()
-    for name, losses in curves.items():
-        axis.semilogy(losses, label=name, linewidth=1)
-    axis.set(xlabel="step", ylabel="loss")
-    axis.legend(fontsize=8)
     axis.spines[["top", "right"]].set_visible(False)
     return _save(figure, path)
 

@@ -100,7 +100,7 @@ def read_photographs(
     if not files:
         raise FileError("images", expected="image files in the folder", got="none", mend="check the folder")
     first = read_picture(files[0])
-    linear = _to_linear(first, encoding)
+    linear, decisions = _choose_encoding(first, encoding)
     large = len(files) * 3 * first.samples.shape[0] * first.samples.shape[1] > HALF_FROM
 
     def decode(file: Path) -> Tensor:
@@ -124,30 +124,23 @@ def read_photographs(
         except BaseException:
             pool.shutdown(cancel_futures=True)
             raise
-    return result, (*_encoding_findings(first, encoding), *_other_findings(first, large, ambient))
+    return result, (*decisions, *_other_findings(first, large, ambient))
 
 
-def _to_linear(picture: Picture, encoding: str) -> Callable[[Floats], Floats]:
-    """What turns samples into linear light: the caller's word, else the file's, else 8 bits are taken as sRGB."""
-    if encoding == "auto" and picture.stated is not None:
-        return picture.stated.to_linear
-    if encoding == "srgb" or (encoding == "auto" and picture.samples.dtype == np.uint8):
-        return srgb_curve
-    return lambda samples: samples
-
-
-def _encoding_findings(picture: Picture, encoding: str) -> list[Finding]:
+def _choose_encoding(picture: Picture, encoding: str) -> tuple[Callable[[Floats], Floats], list[Finding]]:
+    """What turns samples into linear light, and why: the caller's word, else the file's, else 8 bits are sRGB."""
     dtype, stated = picture.samples.dtype, picture.stated
     if encoding == "auto" and stated is not None:
-        return [Finding(f"{dtype} images read as they say: {stated.words}.", "encoding-stated")]
-    curve = "sRGB-encoded" if encoding == "srgb" or (encoding == "auto" and dtype == np.uint8) else "linear light"
-    code = "read-as-srgb" if curve == "sRGB-encoded" else "read-as-linear"
-    other = "linear" if curve == "sRGB-encoded" else "srgb"
+        return stated.to_linear, [Finding(f"{dtype} images read as they say: {stated.words}.", "encoding-stated")]
+    encoded = encoding == "srgb" or (encoding == "auto" and dtype == np.uint8)
+    curve, code, other = (
+        ("sRGB-encoded", "read-as-srgb", "linear") if encoded else ("linear light", "read-as-linear", "srgb")
+    )
     guess = f"; if they are not, load them with encoding='{other}' (--encoding {other})" if encoding == "auto" else ""
     found = [Finding(f"{dtype} images read as {curve}{guess}.", code)]
-    if stated is not None and stated.linear != (curve == "linear light"):
+    if stated is not None and stated.linear == encoded:
         found.append(Finding(f"the images state another encoding: {stated.words}.", "encoding-overridden"))
-    return found
+    return srgb_curve if encoded else lambda samples: samples, found
 
 
 def _other_findings(picture: Picture, large: bool, ambient: Path | None) -> list[Finding]:

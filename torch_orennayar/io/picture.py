@@ -63,8 +63,8 @@ def read_picture(path: str | os.PathLike[str]) -> Picture:
     file = Path(path)
     _refuse_by_name(file)
     try:
-        data = file.read_bytes()
-        stated = stated_encoding(data)
+        with file.open("rb") as stream:
+            stated = stated_encoding(stream)
     except FileNotFoundError as error:
         raise FileError(str(file), expected="an image file", got="nothing there", mend="check the name") from error
     except OSError as error:

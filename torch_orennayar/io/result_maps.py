@@ -16,7 +16,7 @@ from ..geometry.metrics import AngularError, angular_error
 from ..reconstruction import BatchReconstruction, Reconstruction
 from .capture import Capture
 from .figures import save_maps
-from .images import linear_to_srgb
+from .srgb import linear_to_srgb
 
 MAX_DEPTH_PIXELS = 4_000_000
 """Pixels of the object above which depth and mesh are made at a fraction of the resolution; set by hand, for memory."""

@@ -16,11 +16,12 @@ from ..reconstruction import Reconstruction
 from ..render.normal_map import NormalMap
 from .capture import Capture
 from .figures import save_sheet, show_light, show_normals
-from .images import encode_normals, linear_to_srgb, write_image
+from .images import encode_normals, write_image
 from .result_animations import write_relighting, write_turntable
 from .result_maps import ResultMaps
 from .result_numbers import ResultNumbers, result_numbers
 from .result_page import write_result_page
+from .srgb import linear_to_srgb
 
 OPTIONAL = {"error.npy", "error.png", "scores.png", "specular.npy", "specular.png", "turntable.gif"}
 """Files that not every reconstruction has; those of an earlier run into the same folder are removed."""
