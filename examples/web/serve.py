@@ -41,6 +41,13 @@ class Handler(SimpleHTTPRequestHandler):
         """Log nothing: the page itself shows what is missing."""
 
 
+def outdated() -> bool:
+    """Whether the graphs are missing, or older than the Python package."""
+    sources = [*(ROOT / "torch_orennayar").rglob("*.p[ty]"), HERE / "make_graphs.py"]
+    last = HERE / "graphs" / "normal.png"  # the last file that make_graphs.py writes
+    return not last.exists() or last.stat().st_mtime < max(s.stat().st_mtime for s in sources)
+
+
 def prepare() -> None:
     """Install the page's packages, and write its graphs unless they are newer than the Python package."""
     locked = HERE / "node_modules" / ".package-lock.json"
@@ -50,9 +57,7 @@ def prepare() -> None:
             sys.exit("npm is needed to fetch onnxruntime-web: install Node.js 20 or newer")
         print("fetching onnxruntime-web", flush=True)
         subprocess.run([npm, "ci", "--silent", "--no-audit", "--no-fund", "--ignore-scripts"], cwd=HERE, check=True)
-    sources = [*(ROOT / "torch_orennayar").rglob("*.p[ty]"), HERE / "make_graphs.py"]
-    last = HERE / "graphs" / "normal.png"  # the last file that make_graphs.py writes
-    if not last.exists() or last.stat().st_mtime < max(s.stat().st_mtime for s in sources):
+    if outdated():
         sys.path.insert(0, str(ROOT))
         from scripts.environment import prepare as environment
 

@@ -35,6 +35,8 @@ def load(name: str) -> ModuleType:
 def served_page() -> Iterator[str]:
     """Prepare and serve the page; its address."""
     serve = load("web/serve")
+    if serve.outdated():  # in this process, so that graphs which other tests trace too are traced once
+        load("web/make_graphs").main(str(serve.HERE / "graphs"))
     serve.prepare()
     server = serve.server(0)
     threading.Thread(target=server.serve_forever, daemon=True).start()
