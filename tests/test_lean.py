@@ -70,7 +70,7 @@ main()
 INSTALLS = {
     "integrate_normals": "pip install pyamg scipy",
     "shape_from_shading": "pip install pyamg scipy",
-    "load_mesh": "pip install trimesh",
+    "load_mesh": "pip install scipy",
     "save_mesh": "pip install trimesh",
     "srgb_to_linear": "pip install kornia",
     "linear_to_srgb": "pip install kornia",

@@ -27,7 +27,8 @@ if TYPE_CHECKING:  # what type checkers and editors read; at run time `__getattr
     from .geometry.depth import depth_to_normals
     from .geometry.frames import swap_opencv_frame
     from .geometry.integrate import integrate_normals
-    from .geometry.mesh import load_mesh, normalise_mesh, save_mesh, vertex_normals
+    from .geometry.mesh import normalise_mesh, vertex_normals
+    from .geometry.mesh_files import Mesh, load_mesh, orient_faces, save_mesh
     from .geometry.metrics import AngularError, angular_error
     from .io.capture import Capture, load_capture
     from .io.images import decode_normals, encode_normals
@@ -69,10 +70,14 @@ _HOMES = {
     "geometry.frames": ("swap_opencv_frame",),
     "geometry.integrate": ("integrate_normals",),
     "geometry.mesh": (
-        "load_mesh",
         "normalise_mesh",
-        "save_mesh",
         "vertex_normals",
+    ),
+    "geometry.mesh_files": (
+        "Mesh",
+        "load_mesh",
+        "orient_faces",
+        "save_mesh",
     ),
     "geometry.metrics": (
         "AngularError",
@@ -159,6 +164,7 @@ __all__ = [
     "FileError",
     "Finding",
     "Ingredients",
+    "Mesh",
     "Model",
     "ModelChoice",
     "ModelError",
@@ -194,6 +200,7 @@ __all__ = [
     "near_light_stereo",
     "normalise_mesh",
     "oren_nayar",
+    "orient_faces",
     "phong",
     "photometric_stereo",
     "point_light",

@@ -19,7 +19,8 @@ from .core.progress import say
 from .export.api import export_onnx
 from .geometry.camera import Camera
 from .geometry.integrate import integrate_normals
-from .geometry.mesh import depth_to_mesh, save_mesh
+from .geometry.mesh import depth_to_mesh
+from .geometry.mesh_files import save_mesh
 from .geometry.metrics import angular_error
 from .geometry.primitives import bumpy_ball, spiral_lights
 from .io.capture import Capture, load_capture, save_capture

@@ -66,7 +66,7 @@ def from_folder(folder: Path) -> Case:
 
 def from_mesh(file: Path, azimuth: float, elevation: float, size: int = 256) -> Case:
     """A mesh scaled to radius 1, seen from 20 radii away; depth in pixels at that distance."""
-    vertices, faces = load_mesh(file)
+    vertices, faces = load_mesh(file, crease=math.pi)
     if len(faces) < COARSE:  # on coarse meshes, smooth normals are not those of the surface
         import trimesh
 

@@ -1,8 +1,5 @@
 from __future__ import annotations
 
-import os
-from pathlib import Path
-
 import pytest
 import torch
 import trimesh
@@ -11,74 +8,13 @@ from hypothesis import strategies as st
 
 from torch_orennayar import (
     Camera,
-    FileError,
     RangeError,
     ShapeError,
-    load_mesh,
     normalise_mesh,
     render_normals,
-    save_mesh,
     vertex_normals,
 )
 from torch_orennayar.geometry.mesh import depth_to_mesh
-
-
-@pytest.mark.parametrize("suffix", [".ply", ".obj", ".glb", ".stl", ".off"])
-def test_round_trip(tmp_path: Path, suffix: str) -> None:
-    ball = trimesh.creation.icosphere(1)
-    vertices, faces = torch.tensor(ball.vertices), torch.tensor(ball.faces)
-    save_mesh(tmp_path / f"ball{suffix}", vertices, faces)
-    found, triangles = load_mesh(tmp_path / f"ball{suffix}")
-    assert found.dtype == torch.float32
-    assert triangles.dtype == torch.int64
-    assert len(found) == len(vertices)  # STL repeats vertices; loading joins them
-    a, b = (v.double()[f].mean(1) for v, f in ((vertices, faces), (found, triangles)))
-    assert torch.cdist(a, b).amin(1).max() < 1e-5
-
-
-def test_quads_are_split_and_seams_are_joined(tmp_path: Path) -> None:
-    text = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv 2 0 0\nv 2 1 0\nvt 0 0\nvt 1 1\n"
-    (tmp_path / "q.obj").write_text(text + "f 1/1 2/1 3/1 4/1\nf 2/2 5/2 6/2 3/2\n")
-    vertices, faces = load_mesh(tmp_path / "q.obj")
-    assert vertices.shape == (6, 3)
-    assert faces.shape == (4, 3)
-
-
-def test_comments_in_other_encodings(tmp_path: Path) -> None:
-    (tmp_path / "latin.obj").write_bytes(b"# cr\xe9\xe9\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
-    assert load_mesh(tmp_path / "latin.obj")[0].shape == (3, 3)
-
-
-def test_colours_are_written(tmp_path: Path) -> None:
-    save_mesh(tmp_path / "c.ply", torch.eye(3), torch.tensor([[0, 1, 2]]), torch.tensor([[1.0, 0, 0]]).expand(3, 3))
-    assert trimesh.load_mesh(tmp_path / "c.ply").visual.vertex_colors[0].tolist() == [255, 0, 0, 255]
-
-
-@pytest.mark.filterwarnings("ignore:invalid value encountered in cast:RuntimeWarning")  # trimesh merges vertices
-@pytest.mark.parametrize(
-    ("name", "content", "error"),
-    [
-        ("a.obj", b"", FileError),
-        ("a.obj", b"v 0 0 0\n", FileError),
-        ("a.obj", b"v 0 0 0\nv 1 0 0\nv 0 nan 0\nf 1 2 3\n", RangeError),
-        ("a.ply", b"ply\nformat binary_little_endian 1.0\nelement vertex 9\n", FileError),
-        ("a.stl", b"\x00" * 80 + b"\xff\xff\xff\x7f", FileError),
-        ("a.glb", b"glTF rubbish", FileError),
-        ("a.xyz1", b"", FileError),
-    ],
-)
-def test_damaged_files(tmp_path: Path, name: str, content: bytes, error: type[Exception]) -> None:
-    (tmp_path / name).write_bytes(content)
-    with pytest.raises(error, match=name):
-        load_mesh(tmp_path / name)
-
-
-def test_saving_what_cannot_be_saved(tmp_path: Path) -> None:
-    with pytest.raises(FileError, match="ply"):
-        save_mesh(tmp_path / "a.xyz1", torch.eye(3), torch.tensor([[0, 1, 2]]))
-    with pytest.raises(ShapeError):
-        save_mesh(tmp_path / "a.ply", torch.eye(4), torch.tensor([[0, 1, 2]]))
-    assert list(tmp_path.iterdir()) == []
 
 
 @given(st.integers(0, 100), st.floats(0.01, 1000))
@@ -160,9 +96,3 @@ def test_vertices_without_area_have_no_normal_and_finite_gradients() -> None:
 def test_normals_of_what_is_no_mesh(vertices: torch.Tensor, faces: torch.Tensor, error: type[Exception]) -> None:
     with pytest.raises(error):
         vertex_normals(vertices, faces)
-
-
-def test_a_mesh_whose_name_is_not_utf8(tmp_path: Path) -> None:
-    (tmp_path / os.fsdecode(b"m\xe9.obj")).write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
-    vertices, faces = load_mesh(tmp_path / os.fsdecode(b"m\xe9.obj"))
-    assert (len(vertices), faces.tolist()) == (3, [[0, 1, 2]])

@@ -94,7 +94,7 @@ LYING = ("nefertiti",)
 
 def from_mesh(file: Path, size: int) -> Field:
     """A mesh seen from the front; its height field is not smooth where one part hides another."""
-    vertices, faces = load_mesh(file)
+    vertices, faces = load_mesh(file, crease=math.pi)
     if file.stem in LYING:
         x, y, z = vertices.unbind(1)
         vertices = torch.stack((x, z, -y), 1)

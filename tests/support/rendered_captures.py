@@ -132,7 +132,7 @@ def objects(folder: Path | None = None) -> dict[str, tuple[Tensor, Tensor]]:
     for name, mesh in (("ring", knot), ("balls", steps)):
         found[name] = torch.tensor(mesh.vertices, dtype=torch.float32), torch.tensor(mesh.faces)
     for file in sorted(folder.glob("*.obj")) if folder else ():
-        found[file.stem] = load_mesh(file)
+        found[file.stem] = load_mesh(file, crease=math.pi)
     return {name: (normalise_mesh(vertices), faces) for name, (vertices, faces) in found.items()}
 
 

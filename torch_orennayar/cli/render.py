@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
@@ -46,10 +47,18 @@ def render(
     elevation: Elevation = 0.0,
     fov: FieldOfView = None,
     turntable: Annotated[Path | None, typer.Option(help="Also write a .gif or .mp4 of a full turn around it.")] = None,
+    flat: Annotated[bool, typer.Option("--flat", help="Draw every face flat.")] = False,
+    crease: Annotated[
+        float | None,
+        typer.Option(
+            help="Degrees between two faces from which their edge is sharp; 180: none. Default: as the file says."
+        ),
+    ] = None,
     frames: Annotated[int, typer.Option(help="Pictures of the turntable.", min=2, max=720)] = 36,
 ) -> None:
     """Render a mesh: its normal map, depth, and the surface shaded smooth and rough."""
-    from ..geometry.mesh import load_mesh, normalise_mesh
+    from ..geometry.mesh import normalise_mesh
+    from ..geometry.mesh_files import load_mesh
     from ..io.results import write_render
     from ..render.normal_map import render_normals
     from ..shading.layer import OrenNayar
@@ -60,18 +69,23 @@ def render(
     rough = _Material(OrenNayar(model), albedo, math.radians(roughness))
     smooth = _Material(OrenNayar("lambert"), albedo, 0.0)
     direction = parse_direction("--light", light)
-    vertices, faces = load_mesh(mesh)
-    vertices = normalise_mesh(vertices)
-    seen = render_normals(vertices, faces, make_camera(azimuth, elevation, fov), (size, size))
+    loaded = load_mesh(mesh, crease=None if crease is None else math.radians(crease))
+    vertices, faces = normalise_mesh(loaded.vertices), loaded.faces
+    draw = partial(render_normals, vertices, faces, smooth=not flat)
+    seen = draw(make_camera(azimuth, elevation, fov), (size, size))
     if not bool(seen.mask.any()):
         raise RangeError(str(mesh), expected="a surface that can be seen", got="no pixel", mend="check the mesh")
     pictures = {"Lambert": smooth.shade(seen, direction), f"σ = {roughness:g}°": rough.shade(seen, direction)}
     write_render(output, seen, pictures, _shade_around(seen, rough, lights))
+    for finding in loaded.report:
+        typer.echo(finding)
     typer.echo(f"{len(faces)} faces, {int(seen.mask.sum())} pixels; wrote {output}")
     if turntable is not None:
         even = size + size % 2  # video needs even sizes
         views = (
-            render_normals(vertices, faces, make_camera(azimuth + 360 * k / frames, elevation, fov), (even, even))
+            render_normals(
+                vertices, faces, make_camera(azimuth + 360 * k / frames, elevation, fov), (even, even), smooth=not flat
+            )
             for k in range(frames)
         )
         _write_turntable(turntable, views, frames, rough, direction)

@@ -19,6 +19,11 @@ CODES: dict[str, str] = {
     "intensities-from-capture": "light intensities were estimated from the capture itself",
     "lights-from-ball": "light directions come from a mirror ball; value: its radius in pixels",
     "no-mask": "no mask; every pixel is taken as the object",
+    # reading a mesh
+    "mesh-moved": "the mesh was moved to the origin before it was rounded; value: how far",
+    "faces-twice": "number of faces that lay twice between the same vertices and were dropped",
+    "faces-turned": "number of faces that were wound against their neighbours and were turned over",
+    "one-sided": "the faces cannot be wound alike, as on a Möbius strip",
     # choice of a model
     "model-chosen": "which model or kind of material was chosen, and why",
     # photometric stereo

@@ -14,6 +14,7 @@ PACKAGES: dict[str, tuple[str, str]] = {
     "cv2": ("opencv-contrib-python-headless", ""),
     "jinja2": ("jinja2", "cli"),
     "kornia": ("kornia", ""),
+    "mapbox_earcut": ("mapbox_earcut", ""),
     "matplotlib": ("matplotlib", "cli"),
     "onnx": ("onnx", "export"),
     "onnxruntime": ("onnxruntime", ""),

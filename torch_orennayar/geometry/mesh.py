@@ -1,108 +1,22 @@
-"""Read and write meshes through trimesh; vertex normals; meshes from depth maps."""
+"""Vertex normals, checks of meshes, and meshes from depth maps."""
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
-
-import numpy as np
 import torch
 from torch import Tensor
+from torch.utils.weak import WeakIdKeyDictionary
 
 from ..core.checks import check_floating
-from ..core.errors import FileError, RangeError, ShapeError
-from ..core.files import atomic_path, utf8_path
-from ..core.optional import require
+from ..core.errors import RangeError, ShapeError
+from ..core.warn import warn
 from .camera import Camera
 
-MAX_FACES = 50_000_000
-"""Largest number of triangles that `load_mesh` accepts: set by hand, 1.2 GB of indices."""
 CHUNK = 1 << 14
 """Faces per step of `sum_normals`, which bounds the memory for temporaries: set by hand, 2.4 MB of corners."""
-
-
-def load_mesh(path: str | os.PathLike[str]) -> tuple[Tensor, Tensor]:
-    """Read a triangle mesh (OBJ, PLY, STL, GLB, OFF); the meshes of a scene are joined, polygons triangulated.
-
-    Args:
-        path: the file.
-
-    Returns:
-        ``(vertices, faces)``: (V, 3) float32 and (F, 3) int64. Vertices at the same position are merged, so
-        that smooth normals are continuous across texture seams.
-
-    Raises:
-        FileError: the file is missing, damaged, of an unknown format, or has no faces.
-        RangeError: a vertex is not finite.
-
-    Example:
-        >>> import tempfile, pathlib, torch, torch_orennayar as ton
-        >>> path = pathlib.Path(tempfile.mkdtemp()) / "triangle.ply"
-        >>> ton.save_mesh(path, torch.eye(3), torch.tensor([[0, 1, 2]]))
-        >>> vertices, faces = ton.load_mesh(path)
-        >>> vertices.shape, faces.tolist()
-        (torch.Size([3, 3]), [[0, 1, 2]])
-    """
-    require("trimesh")
-    import trimesh
-
-    file = Path(path)
-    if not file.is_file():
-        raise FileError(str(file), expected="a mesh file", got="nothing there", mend="check the name")
-    try:
-        with utf8_path(file) as named:
-            mesh = trimesh.load_mesh(named, process=False)
-        mesh.merge_vertices(merge_tex=True, merge_norm=True)
-        vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
-    except Exception as error:  # trimesh and its parsers raise many types of exception for damaged files
-        raise FileError(
-            str(file),
-            expected="a triangle mesh (OBJ, PLY, STL, GLB, OFF)",
-            got=f"{type(error).__name__}: {error}",
-            mend="export it again",
-        ) from error
-    if faces.ndim != 2 or not len(faces) or len(faces) > MAX_FACES:
-        raise FileError(
-            str(file), expected=f"1 to {MAX_FACES} triangles", got=str(len(faces)), mend="export a surface mesh"
-        )
-    if not np.isfinite(vertices).all():
-        raise RangeError(str(file), expected="finite vertices", got="NaN or infinity", mend="clean the mesh")
-    return torch.from_numpy(vertices.astype(np.float32)), torch.from_numpy(faces.astype(np.int64))
-
-
-def save_mesh(path: str | os.PathLike[str], vertices: Tensor, faces: Tensor, colors: Tensor | None = None) -> None:
-    """Write a mesh; the suffix determines the format (.ply, .obj, .glb, .stl, .off).
-
-    Args:
-        path: the file; it is written completely or not at all.
-        vertices: (V, 3).
-        faces: (F, 3) int64.
-        colors: (V, 3) in [0, 1], sRGB, as vertex colours, or None.
-
-    Raises:
-        FileError: unknown suffix, or the file cannot be written.
-        ShapeError: other shapes.
-    """
-    require("trimesh")
-    import trimesh
-
-    if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:
-        raise ShapeError(
-            "vertices, faces",
-            expected="(V, 3) and (F, 3)",
-            got=f"{tuple(vertices.shape)} and {tuple(faces.shape)}",
-            mend="reshape",
-        )
-    file = Path(path)
-    paint = None if colors is None else (colors.clamp(0, 1) * 255).round().byte().cpu().numpy()
-    mesh = trimesh.Trimesh(vertices.detach().cpu().numpy(), faces.cpu().numpy(), vertex_colors=paint, process=False)
-    with atomic_path(file) as temporary:
-        try:
-            mesh.export(temporary)
-        except (ValueError, KeyError) as error:
-            raise FileError(
-                str(file), expected="a .ply, .obj, .glb, .stl or .off name", got=file.suffix, mend="rename it"
-            ) from error
+OPPOSED_SHARE = 0.01
+"""Share of edges at which two faces disagree from which `warn_of_winding` speaks: set by hand; scans hold a few."""
+_WINDING_SEEN = WeakIdKeyDictionary()
+"""Tensors of faces whose winding was looked at, with their version."""
 
 
 def vertex_normals(vertices: Tensor, faces: Tensor) -> Tensor:
@@ -173,6 +87,24 @@ def check_faces(faces: object, vertices: int) -> None:
                 got=f"{low} to {high}",
                 mend="remove those faces (OBJ files count from 1)",
             )
+
+
+def warn_of_winding(faces: Tensor) -> None:
+    """Warn, once for a tensor, where neighbouring faces are wound against each other, so that their normals cancel."""
+    if not faces.numel() or _WINDING_SEEN.get(faces) == faces._version:
+        return
+    _WINDING_SEEN[faces] = faces._version
+    start, end = faces.reshape(-1), faces.roll(-1, 1).reshape(-1)
+    key, order = (torch.minimum(start, end) * (int(faces.max()) + 1) + torch.maximum(start, end)).sort()
+    same = torch.nn.functional.pad(key[1:] == key[:-1], (1, 1))  # whether an edge follows one of the same points
+    pair = same[1:-1] & ~same[:-2] & ~same[2:]  # exactly two faces
+    first, second = order[:-1][pair], order[1:][pair]
+    opposed = int((start[first] == start[second]).sum())
+    if opposed > OPPOSED_SHARE * max(len(first), 1):
+        warn(
+            f"faces: {opposed} of {len(first)} edges lie between faces that are wound against each other, which spoils "
+            "smooth normals; use load_mesh, or orient_faces(faces), or smooth=False"
+        )
 
 
 def unit_or_zero(vectors: Tensor, dim: int) -> Tensor:

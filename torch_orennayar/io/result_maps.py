@@ -11,7 +11,8 @@ from torch import Tensor
 
 from ..core.errors import ShapeError
 from ..geometry.integrate import integrate_normals
-from ..geometry.mesh import depth_to_mesh, save_mesh
+from ..geometry.mesh import depth_to_mesh
+from ..geometry.mesh_files import save_mesh
 from ..geometry.metrics import AngularError, angular_error
 from ..reconstruction import BatchReconstruction, Reconstruction
 from .capture import Capture

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from ..core.checks import check_floating
 from ..core.errors import RangeError, ShapeError
 from ..geometry.camera import Camera
-from ..geometry.mesh import check_mesh, sum_normals, unit_or_zero
+from ..geometry.mesh import check_mesh, sum_normals, unit_or_zero, warn_of_winding
 from .interpolate import VertexAttributes, interpolate
 from .raster import Projected, visible_faces
 from .spans import FACE_BITS
@@ -96,6 +96,8 @@ def render_normals(
     faces have equal depths, to about 1e-10 of the range of depths of the mesh, the lower index is visible; faces that
     intersect, or are closer than that, are ordered by rounding, identically in every run.
 
+    Smooth normals need neighbouring faces that are wound alike; a warning says where they are not.
+
     Gradients reach vertices, vertex normals and camera through the interpolated normals, depth and barycentric
     coordinates. The visible face, and so the mask, has none: `antialias` adds the gradients of silhouettes. Second
     derivatives are supported; transforms of ``torch.func`` are not: use batches instead of ``vmap``.
@@ -131,6 +133,8 @@ def render_normals(
     """
     world = _check(vertices, faces, camera, vertex_normals, cull)
     check_size(size)
+    if smooth and vertex_normals is None:
+        warn_of_winding(faces)
     return rasterise(world, faces, camera, size, smooth=smooth, vertex_normals=vertex_normals, cull=cull)
 
 
