@@ -119,7 +119,7 @@ def test_shared_edges_belong_to_exactly_one_face(seed: int) -> None:
     part = torch.rand(len(faces), generator=generator) < 0.5
     camera = Camera.orthographic()
     whole, one, other = (
-        render_normals(vertices, f, camera, (size, size)).mask for f in (faces, faces[part], faces[~part])
+        render_normals(vertices, f, camera, (size, size), smooth=False).mask for f in (faces, faces[part], faces[~part])
     )
     # The sheet's left edge runs through the centres of column 0 (inside), its bottom through row 15 (outside).
     assert whole[..., :-1, :].all()
