@@ -9,11 +9,10 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from tests.support import rendered_captures
-from tests.support.objects import Scene
+from tests.support.objects import Scene, findings
 from torch_orennayar import (
     BatchReconstruction,
     CaptureError,
-    Finding,
     ModelError,
     OrenNayar,
     RangeError,
@@ -41,10 +40,6 @@ def solved(rough: Scene, smooth: Scene) -> dict[str, Reconstruction]:
         name: photometric_stereo(scene.images, scene.lights, scene.mask)
         for name, scene in (("rough", rough), ("smooth", smooth))
     }
-
-
-def findings(found: Reconstruction, code: str) -> list[Finding]:
-    return [finding for finding in found.report if finding.code == code]
 
 
 def test_noise_free_lambert_is_exact() -> None:

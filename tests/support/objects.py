@@ -10,7 +10,7 @@ import onnxruntime
 import torch
 from torch import Tensor
 
-from torch_orennayar import Camera, OrenNayar, render_normals
+from torch_orennayar import Camera, Finding, OrenNayar, Reconstruction, render_normals
 from torch_orennayar.geometry.primitives import bumpy_ball, spiral_lights
 
 
@@ -38,3 +38,7 @@ def run_graph(path: Path, threads: int = 0, **feeds: Tensor) -> dict[str, Tensor
     session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
     answers = session.run(None, {name: value.numpy() for name, value in feeds.items()})
     return {o.name: torch.from_numpy(np.asarray(a)) for o, a in zip(session.get_outputs(), answers, strict=True)}
+
+
+def findings(found: Reconstruction, code: str) -> list[Finding]:
+    return [finding for finding in found.report if finding.code == code]

@@ -59,11 +59,11 @@ def render(
     """Render a mesh: its normal map, depth, and the surface shaded smooth and rough."""
     from ..geometry.mesh import normalise_mesh
     from ..geometry.mesh_files import load_mesh
-    from ..io.results import write_render
+    from ..io.results import RENDER_FILES, write_render
     from ..render.normal_map import render_normals
     from ..shading.layer import OrenNayar
 
-    check_output(output)
+    check_output(output, RENDER_FILES)
     if turntable is not None:
         _check_animation(turntable)
     rough = _Material(OrenNayar(model), albedo, math.radians(roughness))

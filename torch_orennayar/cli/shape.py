@@ -36,10 +36,10 @@ def shape(
 ) -> None:
     """One photograph under a known light in; depth, normals and a mesh out."""
     from ..io.capture import load_photograph
-    from ..io.results import write_reconstruction
+    from ..io.results import RECONSTRUCTION_FILES, write_reconstruction
     from ..shape.solver import shape_from_shading
 
-    check_output(output)
+    check_output(output, RECONSTRUCTION_FILES)
     direction = parse_direction("--light", light)
     loaded = load_photograph(image, direction, mask=mask, encoding=encoding)
     begun = time.perf_counter()

@@ -31,12 +31,12 @@ def stereo(
 ) -> None:
     """Photographs under known lights in; normals, albedo, roughness, depth and a mesh out."""
     from ..io.capture import load_capture
-    from ..io.results import write_reconstruction
+    from ..io.results import RECONSTRUCTION_FILES, write_reconstruction
     from ..stereo.solver import photometric_stereo
 
     if least_squares and model not in ("auto", "lambert"):
         raise RangeError("--least-squares", expected="no --model, or lambert", got=model, mend="leave one of them out")
-    check_output(output)
+    check_output(output, RECONSTRUCTION_FILES)
     begun = time.perf_counter()
     loaded = load_capture(capture, lights=lights, mask=mask, chrome=chrome, ambient=ambient, encoding=encoding)
     if own_intensities:
@@ -48,6 +48,7 @@ def stereo(
         loaded.mask,
         model="lambert" if least_squares else model,
         robust=not least_squares,
+        valid=loaded.valid,
         seed=seed,
     )
     seconds = time.perf_counter() - ready

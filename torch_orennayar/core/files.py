@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -34,14 +35,63 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
         yield folder / target.name
 
 
-def check_output(path: str | os.PathLike[str]) -> None:
+WRITTEN_LIST = ".torch_orennayar.json"
+"""Name of the list, in a folder of results, of the files that this package wrote there."""
+
+
+def check_output(path: str | os.PathLike[str], names: Iterable[str] = ()) -> None:
     """Check that an output folder can be written, before long work is done for it.
 
+    Args:
+        path: the folder.
+        names: of the files that will be written there; those of others must not be among them.
+
     Raises:
-        FileError: ``path`` is a file, or cannot be written to.
+        FileError: ``path`` is a file, or cannot be written to, or holds a file of one of these names that this package
+            did not write.
     """
     with atomic_directory(path):
         pass
+    foreign = sorted(name for name in names if (Path(path) / name).exists() and name not in written_files(path))
+    if foreign:
+        raise FileError(
+            str(Path(path) / foreign[0]),
+            expected="no file of that name that this package did not write",
+            got=f"one, and {len(foreign) - 1} more" if len(foreign) > 1 else "one",
+            mend="choose another output folder",
+        )
+
+
+def written_files(folder: str | os.PathLike[str]) -> set[str]:
+    """Names of the files in ``folder`` that `results_directory` wrote and that were not changed since."""
+    place = Path(folder)
+    try:
+        listed = json.loads((place / WRITTEN_LIST).read_text())
+        return {name for name, state in listed.items() if (place / name).is_file() and _state(place / name) == state}
+    except (OSError, ValueError, AttributeError):
+        return set()
+
+
+def _state(file: Path) -> list[int]:
+    """What changes with a file: size and time of its last change, ns."""
+    state = file.stat()
+    return [state.st_size, state.st_mtime_ns]
+
+
+@contextmanager
+def results_directory(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """`atomic_directory` that overwrites no file of others and remembers what it wrote.
+
+    Raises:
+        FileError: as `atomic_directory`, or the folder holds a file of the same name that this package did not write.
+    """
+    with atomic_directory(path) as temporary:
+        yield temporary
+        names = [file.name for file in temporary.iterdir()]
+        check_output(path, names)
+    known = {*written_files(path), *names}
+    states = {name: _state(Path(path) / name) for name in sorted(known) if (Path(path) / name).is_file()}
+    (Path(path) / WRITTEN_LIST).write_text(json.dumps(states, indent=1) + "\n")
 
 
 @contextmanager

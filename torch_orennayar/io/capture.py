@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -19,13 +20,15 @@ from .images import write_image
 from .light_files import (
     DIRECTIONS_FILE,
     INTENSITIES_FILE,
+    LightList,
     find_intensity_file,
     find_light_file,
     read_directions,
     read_intensities,
 )
+from .listed_names import match_names
 from .masks import find_mask, read_mask
-from .photographs import find_ambient, list_photographs, path_inside, read_photographs
+from .photographs import find_ambient, list_photographs, read_photographs
 
 TRUTH_FILES = ("Normal_gt.mat", "normal_gt.npy")
 """Names of the file of true normals, the first that exists is read; the first is DiLiGenT's (Shi et al. 2016)."""
@@ -45,6 +48,7 @@ class Capture:
         normal: (3, H, W) true normals, or None.
         names: file names of the images.
         notes: what the loader decided or assumed (encoding, mask, intensities), one `Finding` each.
+        valid: (K, 1, H, W) bool, False where a sample is at full scale and so not measured; None where none is.
     """
 
     images: Tensor
@@ -54,6 +58,7 @@ class Capture:
     normal: Tensor | None
     names: tuple[str, ...]
     notes: tuple[Finding, ...] = field(default=())
+    valid: Tensor | None = None
 
     def with_own_intensities(self, *, seed: int = 0) -> Capture:
         """The capture divided by light intensities estimated from itself instead of those it was loaded with.
@@ -84,11 +89,11 @@ def load_capture(
     """Load a capture: a DiLiGenT folder, a folder with a light file, an ``.lp`` file, or images with a mirror ball.
 
     The folder may hold: ``filenames.txt`` (without it, all images but the mask, in natural order);
-    ``light_directions.txt`` or ``lights.txt`` (one line ``x y z`` per image, optionally after the image's name) or
-    one ``*.lp``; ``light_intensities.txt`` (1 or 3 numbers per line, default 1); a mask, any picture with ``mask``
-    in its name (the opaque part where alpha varies, every label but 0, or what is brighter than half the maximum;
-    default: all pixels); ``ambient.*``, a photograph with all lights off, which is
-    subtracted; ``Normal_gt.mat`` or ``normal_gt.npy``, true normals (H, W, 3).
+    ``light_directions.txt``, ``lights.txt`` or ``lights.csv`` (one line ``x y z`` per image, with or without its name,
+    or a table whose first line names its columns), or one ``*.lp``; ``light_intensities.txt`` (1 or 3 numbers per line,
+    default 1); a mask, any picture with ``mask`` in its name (the opaque part where alpha varies, every label but 0, or
+    what is brighter than half the maximum; default: all pixels); ``ambient.*``, a photograph with all lights off, which
+    is subtracted; ``Normal_gt.mat`` or ``normal_gt.npy``, true normals (H, W, 3).
 
     Args:
         path: the folder, or an ``.lp`` file beside its images.
@@ -138,22 +143,25 @@ def load_capture(
     if chrome is not None:
         files = list_photographs(folder, others)
         directions, note = _ball_directions(Path(chrome), len(files), encoding)
-        notes = (note,)
+        listed, notes = LightList([], directions), (note,)
     else:
         light_file = Path(lights) if lights is not None else find_light_file(source)
-        files, directions = _pair_with_lights(folder, light_file, others)
+        files, listed = _pair_with_lights(folder, light_file, others)
     intensities, no_intensities = read_intensities(folder, len(files))
-    images, decisions = read_photographs(files, encoding, intensities, ambient_file)
+    if listed.intensities is not None:
+        intensities, no_intensities = listed.intensities.expand(-1, 3).contiguous(), ()
+    images, valid, decisions = read_photographs(files, encoding, intensities, ambient_file)
     size = (images.shape[2], images.shape[3])
     inside, about_mask = read_mask(mask_file, size)
     return Capture(
         images=images,
-        lights=directions,
+        lights=listed.directions,
         intensities=intensities,
         mask=inside,
         normal=_read_truth(folder, size),
         names=tuple(f.name for f in files),
         notes=(*notes, *no_intensities, *decisions, *about_mask),
+        valid=valid,
     )
 
 
@@ -185,11 +193,11 @@ def load_photograph(
         RangeError: unknown encoding.
     """
     _check_encoding(encoding)
-    images, notes = read_photographs([Path(path)], encoding, torch.ones(1, 3))
+    images, valid, notes = read_photographs([Path(path)], encoding, torch.ones(1, 3))
     size = (images.shape[2], images.shape[3])
     inside, about_mask = read_mask(None if mask is None else Path(mask), size)
     notes = (*notes, *about_mask)
-    return Capture(images, light[None], torch.ones(1, 3), inside, None, (Path(path).name,), notes)
+    return Capture(images, light[None], torch.ones(1, 3), inside, None, (Path(path).name,), notes, valid)
 
 
 def save_capture(
@@ -243,7 +251,7 @@ def load_ball(
         raise FileError(str(folder), expected="a folder of photographs", got="no folder", mend="check the name")
     mask_file = Path(mask) if mask is not None else find_mask(folder)
     files = list_photographs(folder, () if mask_file is None else (mask_file,))
-    images, _ = read_photographs(files, encoding, torch.ones(len(files), 3))
+    images = read_photographs(files, encoding, torch.ones(len(files), 3)).images
     if mask_file is None:
         return images, None
     inside, _ = read_mask(mask_file, (images.shape[2], images.shape[3]))
@@ -265,28 +273,30 @@ def _ball_directions(folder: Path, count: int, encoding: str) -> tuple[Tensor, F
     return light_directions(images, ball), Finding(text, "lights-from-ball", ball.radius)
 
 
-def _pair_with_lights(folder: Path, light_file: Path, others: tuple[Path, ...]) -> tuple[list[Path], Tensor]:
-    """Image files and their light directions (K, 3), matched by name where the light file has names."""
-    names, directions = read_directions(light_file)
-    files = [path_inside(folder, name) for name in names] or list_photographs(folder, others)
-    if names and (extra := find_intensity_file(folder)):
+def _pair_with_lights(folder: Path, light_file: Path, others: tuple[Path, ...]) -> tuple[list[Path], LightList]:
+    """Image files and their lights, matched by name where the light file has names."""
+    listed = read_directions(light_file)
+    extra = find_intensity_file(folder)
+    if extra and (listed.names or listed.intensities is not None):
         raise FileError(
             str(extra),
-            expected="no intensities beside lights that have names",
-            got="lines without names, which may be in another order",
-            mend="remove it, or give the lights without names, in the order of the images",
+            expected="no intensities beside lights that have names or intensities of their own",
+            got="lines that may be in another order, or say another thing",
+            mend="remove it, or give the lights without names and intensities, in the order of the images",
         )
-    if len(files) != len(directions):
-        listed = f"{files[0].name} to {files[-1].name}" if files else "none"
+    if listed.names:
+        return match_names(folder, listed.names, light_file, partial(list_photographs, folder, others)), listed
+    files = list_photographs(folder, others)
+    if len(files) != len(listed.directions):
         raise FileError(
             str(light_file),
-            expected=f"{len(files)} lights, one per image ({listed})",
-            got=str(len(directions)),
+            expected=f"{len(files)} lights, one per image ({files[0].name} to {files[-1].name})",
+            got=str(len(listed.directions)),
             mend="add the missing lines, or list the images that count in filenames.txt"
-            if len(directions) < len(files)
+            if len(listed.directions) < len(files)
             else "remove the lines that have no image",
         )
-    return files, directions
+    return files, listed
 
 
 def _read_truth(folder: Path, size: tuple[int, int]) -> Tensor | None:

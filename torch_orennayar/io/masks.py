@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from ..core.errors import FileError
+from ..core.files import written_files
 from ..core.findings import Finding
 from .picture import IMAGE_SUFFIXES, Picture, read_picture, to_unit
 
@@ -36,7 +37,9 @@ def find_mask(folder: Path) -> Path | None:
     """
     places = [folder, *(f for f in sorted(folder.iterdir()) if f.is_dir() and f.name.lower() in MASK_FOLDERS)]
     for place in places:
-        found = sorted(f for f in place.iterdir() if f.is_file() and is_mask(f) and not f.name.startswith("."))
+        results = written_files(place)
+        masks = (f for f in place.iterdir() if f.is_file() and is_mask(f) and not f.name.startswith("."))
+        found = sorted(f for f in masks if f.name not in results)
         exact = [f for f in found if f.stem.lower() == MASK_WORD]
         if len(exact or found) > 1:
             listed = ", ".join(f.name for f in exact or found)

@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -16,10 +16,12 @@ import torch
 from torch import Tensor
 
 from ..core.errors import FileError
+from ..core.files import written_files
 from ..core.findings import Finding
 from ..core.progress import track
 from .encoding import srgb_curve
-from .light_files import read_words
+from .light_text import clean_name, read_lines
+from .listed_names import path_inside
 from .masks import is_mask
 from .picture import HEIF_SUFFIXES, IMAGE_SUFFIXES, RAW_SUFFIXES, Picture, read_picture, to_unit
 
@@ -35,20 +37,24 @@ READERS = 4
 
 
 def list_photographs(folder: Path, others: Sequence[Path]) -> list[Path]:
-    """Photographs of a capture in natural order: those in ``filenames.txt``, else all images but masks and ``others``.
+    """Photographs of a capture in natural order: those in ``filenames.txt``, else images that are nothing else.
+
+    Masks, ``others`` and results that this package wrote there are something else.
 
     Raises:
         FileError: a listed name that leads out of the folder, or nothing that can be read.
     """
     listing = folder / "filenames.txt"
     if listing.is_file():
-        return [path_inside(folder, " ".join(row)) for row in read_words(listing)]
+        return [path_inside(folder, clean_name(line)) for _, line in read_lines(listing)]
 
     def natural(file: Path) -> list[tuple[int, str]]:
-        return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", file.name)]
+        return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", file.name)]
+
+    results = written_files(folder)
 
     def is_photograph(file: Path) -> bool:
-        hidden = file.name.startswith(".") or is_mask(file)
+        hidden = file.name.startswith(".") or file.name in results or is_mask(file)
         hidden = hidden or file.resolve() in {other.resolve() for other in others}
         return file.suffix.lower() in IMAGE_SUFFIXES and not hidden
 
@@ -63,30 +69,30 @@ def list_photographs(folder: Path, others: Sequence[Path]) -> list[Path]:
     return found
 
 
-def path_inside(folder: Path, name: str) -> Path:
-    """``folder / name``; links are followed.
-
-    Raises:
-        FileError: that is not inside the folder.
-    """
-    file = folder / name.replace("\\", "/")
-    if not file.resolve().is_relative_to(folder.resolve()):
-        raise FileError(
-            name, expected=f"a file inside {folder}", got="a path that leaves it", mend="move the image into the folder"
-        )
-    return file
-
-
 def find_ambient(folder: Path) -> Path | None:
     """The photograph with all lights off in ``folder``, if it has one."""
     found = [f for f in sorted(folder.iterdir()) if f.stem.lower() == AMBIENT and f.suffix.lower() in IMAGE_SUFFIXES]
     return found[0] if found else None
 
 
+class Photographs(NamedTuple):
+    """What `read_photographs` found.
+
+    Attributes:
+        images: (K, 3, H, W) linear light.
+        valid: (K, 1, H, W) bool, where no channel is at full scale; None where that is everywhere.
+        findings: what was decided on the way.
+    """
+
+    images: Tensor
+    valid: Tensor | None
+    findings: tuple[Finding, ...]
+
+
 def read_photographs(
     files: Sequence[Path], encoding: str, intensities: Tensor, ambient: Path | None = None
-) -> tuple[Tensor, tuple[Finding, ...]]:
-    """Images (K, 3, H, W) in linear light divided by ``intensities`` (K, 3), and what was decided on the way.
+) -> Photographs:
+    """Images in linear light divided by ``intensities`` (K, 3).
 
     Args:
         files: the photographs.
@@ -103,17 +109,18 @@ def read_photographs(
     linear, decisions = _choose_encoding(first, encoding)
     large = len(files) * 3 * first.samples.shape[0] * first.samples.shape[1] > HALF_FROM
 
-    def decode(file: Path) -> Tensor:
+    def decode(file: Path) -> tuple[Tensor, Tensor]:
         picture = read_picture(file)
         _check_same_kind(file, picture, files[0], first)
         light = torch.from_numpy(linear(to_unit(picture.samples)))
-        return light.expand(3, -1, -1) if light.ndim == 2 else light.permute(2, 0, 1)
+        return light.expand(3, -1, -1) if light.ndim == 2 else light.permute(2, 0, 1), _below_full_scale(picture)
 
-    dark = None if ambient is None else decode(ambient)
+    dark = None if ambient is None else decode(ambient)[0]
+    valid = torch.empty((len(files), 1, *first.samples.shape[:2]), dtype=torch.bool)
     result = torch.empty((len(files), 3, *first.samples.shape[:2]), dtype=torch.float16 if large else torch.float32)
 
     def fill(index: int) -> None:
-        image = decode(files[index])
+        image, valid[index] = decode(files[index])
         if dark is not None:
             image = (image - dark).clamp_min(0)
         result[index] = image / intensities[index][:, None, None]
@@ -124,7 +131,18 @@ def read_photographs(
         except BaseException:
             pool.shutdown(cancel_futures=True)
             raise
-    return result, (*decisions, *_other_findings(first, large, ambient))
+    findings = (*decisions, *_other_findings(first, large, ambient))
+    return Photographs(result, None if bool(valid.all()) else valid, findings)
+
+
+def _below_full_scale(picture: Picture) -> Tensor:
+    """Where no channel has the largest value of its type, (H, W) bool: there the sensor or the file was at its end."""
+    samples = picture.samples
+    full = {"uint8": 255, "uint16": 65535}.get(samples.dtype.name)
+    if full is None:
+        return torch.ones(samples.shape[:2], dtype=torch.bool)
+    below = np.asarray(samples != full)
+    return torch.from_numpy(below if below.ndim == 2 else below.all(2))
 
 
 def _choose_encoding(picture: Picture, encoding: str) -> tuple[Callable[[Floats], Floats], list[Finding]]:

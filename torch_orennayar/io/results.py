@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from torch import Tensor
 
-from ..core.files import atomic_directory
+from ..core.files import results_directory
 from ..reconstruction import Reconstruction
 from ..render.normal_map import NormalMap
 from .capture import Capture
@@ -25,6 +25,13 @@ from .srgb import linear_to_srgb
 
 OPTIONAL = {"error.npy", "error.png", "scores.png", "specular.npy", "specular.png", "turntable.gif"}
 """Files that not every reconstruction has; those of an earlier run into the same folder are removed."""
+RECONSTRUCTION_FILES = OPTIONAL | {
+    "albedo.npy", "albedo.png", "confidence.npy", "confidence.png", "depth.npy", "mesh.ply", "normal.npy", "normal.png",
+    "relight.gif", "report.html", "residual.npy", "residual.png", "result.json", "roughness.npy", "roughness.png",
+}  # fmt: skip
+"""Files that `write_reconstruction` may write."""
+RENDER_FILES = {"depth.npy", "lights.png", "mask.png", "normal.npy", "normal.png", "shaded.png", "sheet.png"}
+"""Files that `write_render` may write."""
 SHEET_COLUMNS = 6
 """Pictures in a row of a contact sheet of lights, at most; set by hand, for a page's width."""
 
@@ -49,7 +56,7 @@ def write_reconstruction(
     Depth and mesh of more than 4 million pixels are made at a fraction of the resolution, which ``result.json`` names.
 
     Args:
-        folder: made if need be; files of other names in it stay.
+        folder: made if need be; files of other names in it stay, and those that others wrote are not overwritten.
         found: an unbatched result for ``capture``.
         capture: what was loaded.
         title: heading of the report.
@@ -59,13 +66,13 @@ def write_reconstruction(
         The folder and the numbers.
 
     Raises:
-        FileError: the place cannot be written.
+        FileError: the place cannot be written, or holds a file of these names that this package did not write.
         ShapeError: ``found`` is a batch.
         MissingPackageError: a package that draws or writes is not installed.
     """
     maps = ResultMaps.of(found, capture)
     numbers = result_numbers(found, capture, maps, title=title, seconds=seconds)
-    with atomic_directory(folder) as temporary:
+    with results_directory(folder) as temporary:
         for name, array in maps.arrays().items():
             np.save(temporary / f"{name}.npy", array.numpy())
         write_image(temporary / "normal.png", encode_normals(maps.normal, maps.mask), bits=16)
@@ -94,18 +101,18 @@ def write_render(
     ``mask.png``, ``shaded.png`` (sRGB), ``sheet.png``, ``lights.png``; together or not at all.
 
     Args:
-        folder: made if need be; files of other names in it stay.
+        folder: made if need be; files of other names in it stay, and those that others wrote are not overwritten.
         seen: a `NormalMap` of one view.
         pictures: caption to linear light (1|3, H, W).
         lights: the same for a second sheet, or None.
 
     Raises:
-        FileError: the place cannot be written.
+        FileError: the place cannot be written, or holds a file of these names that this package did not write.
         MissingPackageError: a package that draws or writes is not installed.
     """
     normal, mask = seen.normal[0].detach().cpu(), seen.mask[0].cpu()
     sheet = {"normal": show_normals(normal, mask)} | {name: show_light(p, mask) for name, p in pictures.items()}
-    with atomic_directory(folder) as temporary:
+    with results_directory(folder) as temporary:
         write_image(temporary / "normal.png", encode_normals(normal, mask), bits=16)
         np.save(temporary / "normal.npy", normal.numpy())
         np.save(temporary / "depth.npy", seen.depth[0].detach().cpu().numpy())

@@ -12,9 +12,14 @@ from ..core.warn import warn
 from .material import LightDirections
 from .material_selection import MAX_CONDITION, condition
 from .pixel_sample import gather_grey
-from .robust_stats import SHADOW
+from .robust_stats import MISSING, SHADOW
 from .row_bands import band_height
 
+FULL_SCALE = 1.0
+"""Value of a sample at full scale, in the unit of images that no intensities divide."""
+CLIPPED_SHARE = 1e-3
+"""Share of samples at `FULL_SCALE` from which they are taken as clipped, as single pixels reach it by chance; set by
+hand."""
 WARN_CONDITION = 10
 """Condition number of light directions above which a warning is issued. Set by hand."""
 
@@ -30,6 +35,42 @@ def check_shapes(images: Tensor, lights: Tensor, mask: Tensor | None) -> Tensor:
             "lights", expected=f"{wanted} or {(*wanted, *size)}", got=str(tuple(lights.shape)), mend="one per image"
         )
     return check_mask(mask, images)[0]
+
+
+def find_valid(images: Tensor, inside: Tensor, valid: Tensor | None) -> Tensor | None:
+    """Which samples count, (K, 1, H, W) bool; None where all do.
+
+    Without ``valid``, samples of exactly 1 are at full scale where nothing is brighter and many are.
+
+    Raises:
+        ShapeError: ``valid`` of another shape or dtype.
+    """
+    if valid is not None:
+        shape = (len(images), 1, *images.shape[2:])
+        if tuple(valid.shape) not in (shape, tuple(images.shape)) or valid.dtype != torch.bool:
+            raise ShapeError(
+                "valid",
+                expected=f"{shape} or {tuple(images.shape)} bool",
+                got=f"{tuple(valid.shape)} {valid.dtype}",
+                mend="give one value per sample; True counts",
+            )
+        return None if bool(valid.all()) else valid.all(1, keepdim=True)
+    if float(images.amax()) != FULL_SCALE:
+        return None
+    below = (images < FULL_SCALE).all(1, keepdim=True)
+    clipped = (~below[:, 0, inside]).float().mean()
+    return below if clipped >= CLIPPED_SHARE else None
+
+
+def leave_out(images: Tensor, valid: Tensor | None, inside: Tensor) -> tuple[Tensor, list[Finding]]:
+    """The images with `MISSING` where samples do not count, and how many those are."""
+    if valid is None:
+        return images, []
+    share = 100 * (~valid[:, 0, inside]).float().mean().item()
+    if not share:
+        return images, []
+    text = f"{share:.2g} % of the samples are at full scale, so not measured, and were left out: expose shorter."
+    return torch.where(valid, images, MISSING), [Finding(text, "clipped-samples", share)]
 
 
 def check_directions(directions: LightDirections) -> list[Finding]:

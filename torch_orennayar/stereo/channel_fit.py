@@ -13,6 +13,8 @@ from .pixel_sample import PixelSample
 from .robust_fit import LOBE_RIDGE, PixelFit, predict, weights
 from .robust_stats import Used, mean_brightness
 
+LEAST_ALBEDO = 1e-12
+"""Albedo of black pixels, over their mean observation, so that nothing is divided by 0."""
 ALBEDO_STEPS = 4
 """Fixed-point steps that settle an albedo on which interreflection between facets depends; set by hand."""
 
@@ -25,7 +27,7 @@ def fit_channels(
     weight = weights(fitted, sample.grey, predict(fitted, sample.directions, material), used)
     albedos, strengths = [], []
     for channel in (channels / mean[:, :, None]).unbind(2):
-        albedo, lobes = fitted.albedo / mean, fitted.lobes / mean
+        albedo, lobes = (fitted.albedo / mean).clamp_min(LEAST_ALBEDO), fitted.lobes / mean
         for _ in range(1 if material.model == "lambert" else ALBEDO_STEPS):
             response = respond(material, fitted.normal, albedo, lobes, sample.directions, mean)
             shapes = response.columns[1:]
@@ -34,7 +36,9 @@ def fit_channels(
                 lobes = _lobe_strengths(diffuse, shapes, channel, weight)
             left = channel - _highlights(lobes, shapes)
             albedo = (weight * diffuse * left).sum(1, keepdim=True)
-            albedo = (albedo / (weight * diffuse * diffuse).sum(1, keepdim=True).clamp_min(1e-12)).clamp_min(1e-12)
+            albedo = (albedo / (weight * diffuse * diffuse).sum(1, keepdim=True).clamp_min(LEAST_ALBEDO)).clamp_min(
+                LEAST_ALBEDO
+            )
         albedos.append(albedo * mean)
         strengths.append(lobes * mean)
     return torch.cat(albedos, 1), torch.stack(strengths, 2)

@@ -15,6 +15,7 @@ from ..geometry.camera import Camera
 from ..geometry.integrate import integrate_normals
 from ..reconstruction import Reconstruction
 from ..shading.point_light import point_light
+from .capture_checks import find_valid
 from .solver import photometric_stereo
 
 DARK = 1e-3
@@ -32,6 +33,7 @@ def near_light_stereo(
     distance: float,
     model: str = "auto",
     rounds: int = 2,
+    valid: Tensor | None = None,
     seed: int = 0,
 ) -> Reconstruction:
     """Recover normals, depth, albedo, roughness and highlights from images under near point lights.
@@ -51,6 +53,7 @@ def near_light_stereo(
             geometric mean of a perspective view's. Not found from the images: measure it.
         model: as for `photometric_stereo`.
         rounds: of the alternation before the last one.
+        valid: as for `photometric_stereo`.
         seed: as for `photometric_stereo`.
 
     Returns:
@@ -81,6 +84,9 @@ def near_light_stereo(
     """
     check_floating(images=images, positions=positions)
     inside = _check(images, positions, mask, camera, distance, rounds)
+    counted = find_valid(images, inside[0], valid)
+    if counted is None:
+        counted = torch.ones_like(images[:, :1], dtype=torch.bool)
     size = (images.shape[2], images.shape[3])
     view = camera.view_directions(size)[0].to(images)
 
@@ -90,7 +96,8 @@ def near_light_stereo(
         _check_lights(light, view, inside)
         irradiance = torch.maximum(irradiance, DARK * irradiance[:, :, inside[0]].mean(2, keepdim=True)[..., None])
         seen = torch.where(inside, images / irradiance, 0)
-        found = photometric_stereo(seen, _rotate(light, view), inside, model=model, seed=seed)
+        turned = _rotate(light, view)
+        found = photometric_stereo(seen, turned, inside, model=model, valid=counted, seed=seed)
         normal = torch.where(inside, _rotate(found.normal, view, back=True), 0)
         return replace(found, normal=normal), _integrate(normal, inside, camera, distance)
 

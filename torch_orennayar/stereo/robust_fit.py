@@ -152,11 +152,13 @@ def fit(
 
 
 def least_squares(sample: PixelSample) -> PixelFit:
-    """Plain Lambertian least squares over all observations."""
+    """Plain Lambertian least squares over all observations that were measured."""
     grey, light = sample.grey, sample.directions.light
-    scaled = weighted_lambert(grey, light, torch.ones_like(grey))
+    measured = select(grey, "all")
+    scaled = weighted_lambert(grey, light, measured)
     albedo = scaled.norm(dim=1, keepdim=True)
-    residual = (grey - cosines(scaled, light)).abs().mean(1, keepdim=True)
+    missed = (grey - cosines(scaled, light)).abs() * measured
+    residual = missed.sum(1, keepdim=True) / measured.sum(1, keepdim=True).clamp_min(1)
     spread = residual / albedo.clamp_min(torch.finfo(grey.dtype).tiny) * math.sqrt(2 / grey.shape[1])
     no_lobes, no_weighting = grey.new_empty(len(grey), 0), torch.full_like(albedo, torch.inf)
     return PixelFit(camera_facing(scaled), albedo, no_lobes, no_weighting, residual, spread)

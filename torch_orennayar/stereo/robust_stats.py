@@ -16,6 +16,9 @@ from torch import Tensor
 Used = Literal["middle", "lit", "all"]
 """Observations that count: those of middle rank and in light, all that are not in shadow, or all."""
 
+MISSING = -(2.0**-24)
+"""What takes the place of an observation that was not measured: below 0, so that every fit takes it for a shadow, and a
+value that no other observation has, so that plain least squares leaves it out. The smallest number of float16."""
 SHADOW = 0.08
 """Observations below this share of the pixel's bright level are in shadow. Set by hand; the weights that ship with
 `set_network` were trained with it."""
@@ -51,7 +54,7 @@ def mean_brightness(grey: Tensor) -> Tensor:
 def select(grey: Tensor, used: Used) -> Tensor:
     """1 for the observations that count, 0 for the others, (P, K)."""
     if used == "all":
-        return torch.ones_like(grey)
+        return (grey != MISSING).to(grey)
     return in_light(grey) if used == "lit" else between_ranks(grey, *MIDDLE_RANKS)
 
 

@@ -10,12 +10,13 @@ from ..core.errors import CaptureError, ShapeError
 from ..core.findings import Finding
 from ..reconstruction import Reconstruction, stack
 from ..reflectance.models import get_model
-from .capture_checks import check_directions, check_shapes, find_dark_pixels
+from .capture_checks import check_directions, check_shapes, find_dark_pixels, find_valid, leave_out
 from .interreflection import choose_interreflected_light
 from .material_choice import choose_material, judge_roughness_map
 from .material_refinement import MIN_LIGHTS_HELD_OUT
 from .material_selection import MaterialChoice
 from .network_solver import NETWORK, TRAINED_LIGHTS, solve_by_network
+from .normal_fill import fill_normals
 from .pixel_sample import SAMPLE_PIXELS, PixelSample
 from .robust_stats import Used
 from .row_bands import solve_bands
@@ -33,6 +34,7 @@ def photometric_stereo(
     *,
     model: str = "auto",
     robust: bool = True,
+    valid: Tensor | None = None,
     seed: int = 0,
 ) -> Reconstruction:
     """Recover normals, albedo, roughness and highlights from images under known distant lights, orthographic view.
@@ -64,6 +66,9 @@ def photometric_stereo(
         model: ``"auto"``, a name in ``MODELS``, which is then used without lobes, or ``"network"``: normals by a small
             network trained on synthetic pixels (12 lights or more), with Lambert's albedo, solved in float32.
         robust: ``False`` is plain least squares over all observations, for ``"lambert"`` only.
+        valid: (K, 1, H, W) or (B, K, 1, H, W) bool, or with C channels: the samples that count, such as
+            ``Capture.valid``. Default: all; but where images reach 1, none is brighter and one in a thousand samples
+            is exactly 1, these are taken as clipped at full scale.
         seed: draws the pixels and the held-out lights on which roughness and model are decided.
 
     Returns:
@@ -92,11 +97,12 @@ def photometric_stereo(
     check_floating(images=images, lights=lights)
     _check_model(model, robust)
     if images.ndim == 5:
-        return _solve_batch(images, lights, mask, model, robust, seed)
+        return _solve_batch(images, lights, mask, valid, model, robust, seed)
     inside = check_shapes(images, lights, mask)
+    images, clipped = leave_out(images, find_valid(images, inside, valid), inside)
     dark = find_dark_pixels(images, inside)
     sample = PixelSample.gather(images, lights, _draw_places(inside & ~dark, seed))
-    findings = check_directions(sample.directions)
+    findings = check_directions(sample.directions) + clipped
     choice = choose_material(sample, model, seed) if robust and model != NETWORK else MaterialChoice()
     material, uncertain = choice.material, choice.roughness_error
     findings += choice.findings
@@ -115,7 +121,7 @@ def photometric_stereo(
     findings += _doubtful_pixels(dark, maps, len(images), material.model)
     unknown = dark if len(images) > 3 else inside
     return Reconstruction(
-        normal=maps.normal,
+        normal=fill_normals(maps.normal, dark, inside) if bool(dark.any()) else maps.normal,
         albedo=maps.albedo,
         roughness=maps.roughness,
         residual=maps.residual,
@@ -169,7 +175,7 @@ def _doubtful_pixels(dark: Tensor, maps: SolvedMaps, lights: int, model: str) ->
     found = []
     count = int(dark.sum())
     if count:
-        text = f"{count} pixels are lit by fewer than 3 lights; their confidence is 0."
+        text = f"{count} pixels are lit by fewer than 3 lights: normals continue those about them, confidence is 0."
         found.append(Finding(text, "dark-pixels", count))
     if lights == 3:
         text = "3 lights leave no observation to check the normals with: all confidence is 0."
@@ -185,18 +191,30 @@ def _doubtful_pixels(dark: Tensor, maps: SolvedMaps, lights: int, model: str) ->
 
 
 def _solve_batch(
-    images: Tensor, lights: Tensor, mask: Tensor | None, model: str, robust: bool, seed: int
+    images: Tensor,
+    lights: Tensor,
+    mask: Tensor | None,
+    valid: Tensor | None,
+    model: str,
+    robust: bool,
+    seed: int,
 ) -> Reconstruction:
     """Solve one capture after the other: each has its own model and roughness."""
     batch = len(images)
-    for name, value, axes in (("lights", lights, (3, 5)), ("mask", mask, (4,))):
+    for name, value, axes in (("lights", lights, (3, 5)), ("mask", mask, (4,)), ("valid", valid, (5,))):
         if value is not None and (value.ndim not in axes or len(value) != batch):
             raise ShapeError(
                 name, expected=f"{batch} captures in a batch", got=str(tuple(value.shape)), mend="stack one per capture"
             )
     found = [
         photometric_stereo(
-            images[b], lights[b], None if mask is None else mask[b], model=model, robust=robust, seed=seed
+            images[b],
+            lights[b],
+            None if mask is None else mask[b],
+            model=model,
+            robust=robust,
+            valid=None if valid is None else valid[b],
+            seed=seed,
         )
         for b in range(batch)
     ]
