@@ -50,6 +50,7 @@ if TYPE_CHECKING:  # what type checkers and editors read; at run time `__getattr
     from .stereo.set_network import SetNetwork, load_network, make_tokens, save_network
     from .stereo.solver import photometric_stereo
     from .synthetic.captures import SyntheticCaptures
+    from .synthetic.collate import SyntheticBatch, collate_captures
     from .synthetic.images import SyntheticImages
     from .synthetic.pixels import Ingredients, SyntheticPixels
 
@@ -144,6 +145,10 @@ _HOMES = {
     ),
     "stereo.solver": ("photometric_stereo",),
     "synthetic.captures": ("SyntheticCaptures",),
+    "synthetic.collate": (
+        "SyntheticBatch",
+        "collate_captures",
+    ),
     "synthetic.images": ("SyntheticImages",),
     "synthetic.pixels": (
         "Ingredients",
@@ -174,6 +179,7 @@ __all__ = [
     "Reconstruction",
     "SetNetwork",
     "ShapeError",
+    "SyntheticBatch",
     "SyntheticCaptures",
     "SyntheticImages",
     "SyntheticPixels",
@@ -184,6 +190,7 @@ __all__ = [
     "blinn_phong",
     "brdf",
     "cast_shadows",
+    "collate_captures",
     "decode_normals",
     "depth_to_normals",
     "directional_albedo",

@@ -118,3 +118,31 @@ def test_half_precision_of_the_others(tmp_path: Path) -> None:
     assert types == ["tensor(float16)", "tensor(bool)", "tensor(float16)", "tensor(int64)"]
     with pytest.raises(ExportError, match="float16"):
         export_onnx("shading", tmp_path / "wide.onnx", dtype=torch.float64)
+
+
+@pytest.mark.parametrize(
+    ("names", "words"),
+    [
+        ({"input_names": ("a",)}, "2 names, one per input"),
+        ({"input_names": ("a", "a")}, "different words"),
+        ({"input_names": ("a", "")}, "different words"),
+        ({"output_names": ("b",)}, "2 names, one per output"),
+        ({"input_names": ("a", "b"), "output_names": ("a", "c")}, "other names than the inputs'"),
+    ],
+)
+def test_names_that_do_not_fit(tmp_path: Path, names: dict[str, tuple[str, ...]], words: str) -> None:
+    example = (torch.rand(1, 3, 4, 5), F.normalize(torch.randn(1, 3), dim=1))
+    with pytest.raises(ExportError, match=words):
+        export_onnx(Relighter(), tmp_path / "net.onnx", example_inputs=example, **names)  # type: ignore[arg-type]
+
+
+def test_examples_in_other_memory_layouts(tmp_path: Path) -> None:
+    class Double(nn.Module):
+        def forward(self, x: Tensor) -> Tensor:
+            return 2 * x
+
+    example = torch.rand(3, 2, requires_grad=True).T.expand(4, 2, 3)
+    path = export_onnx(Double(), tmp_path / "net.onnx", example_inputs=(example,))
+    session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
+    data = np.random.default_rng(0).random((4, 2, 3), np.float32)
+    assert np.array_equal(session.run(None, {"input_0": data})[0], 2 * data)

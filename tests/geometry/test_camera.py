@@ -1,13 +1,15 @@
 from __future__ import annotations
 
 import math
+import warnings
 
+import numpy as np
 import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from torch_orennayar import Camera, RangeError, ShapeError, swap_opencv_frame
+from torch_orennayar import Camera, RangeError, ShapeError, render_normals, swap_opencv_frame
 
 coordinate = st.floats(-5, 5)
 point = st.tuples(coordinate, coordinate, coordinate)
@@ -122,3 +124,48 @@ def test_batches() -> None:
 def test_cameras_that_cannot_be(make: object) -> None:
     with pytest.raises(RangeError):
         make()  # type: ignore[operator]
+
+
+K = torch.tensor([[100.0, 0, 49.5], [0, 100.0, 49.5], [0, 0, 1]])
+
+
+def pose(turn: torch.Tensor, last: tuple[float, ...] = (0.0, 0.0, 0.0, 1.0)) -> torch.Tensor:
+    return torch.cat((torch.cat((turn, torch.tensor([[0.1], [0.2], [3.0]])), 1), torch.tensor([last])))
+
+
+@pytest.mark.parametrize(
+    ("extrinsics", "words"),
+    [
+        (pose(2 * torch.eye(3)), "differs from 1 by 3"),
+        (pose(torch.diag(torch.tensor([1.0, 1, -1]))), "mirrored"),
+        (pose(torch.eye(3).fill_diagonal_(math.nan)), "finite"),
+        (pose(torch.eye(3)).T, "last row|finite"),
+        (pose(torch.tensor([[1.0, 0.1, 0], [0, 1, 0], [0, 0, 1]])), "differs from 1"),
+    ],
+)
+def test_extrinsics_that_are_no_pose(extrinsics: torch.Tensor, words: str) -> None:
+    with pytest.raises(RangeError, match=words):
+        Camera.from_intrinsics(K, (100, 100), extrinsics)
+
+
+def test_rounded_matrices_are_taken() -> None:
+    turn = torch.linalg.qr(torch.randn(3, 3, generator=torch.Generator().manual_seed(0)))[0]
+    turn = turn * torch.linalg.det(turn)
+    exact, rounded = (Camera.from_intrinsics(K, (100, 100), pose(t)) for t in (turn, (turn * 1e4).round() / 1e4))
+    assert torch.allclose(exact.rotation, rounded.rotation, atol=1e-4)
+    skewed = K.clone()
+    skewed[0, 1], skewed[2, 2] = 1e-9, 1 + 1e-7
+    Camera.from_intrinsics(skewed, (100, 100))
+
+
+@pytest.mark.parametrize(("near", "told"), [(5.0, True), (0.01, False)])
+def test_an_empty_picture_says_that_all_lies_before_the_near_plane(near: float, told: bool) -> None:
+    triangle = torch.tensor([[-1.0, -1, 0], [3, -1, 0], [-1, 3, 0]])
+    faces, camera = torch.tensor([[0, 1, 2]]), Camera.perspective(0.6, eye=(0, 0, 4), near=near)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        seen = render_normals(triangle, faces, camera, (8, np.int64(8)))
+        aside = render_normals(triangle + 100, faces, camera, (8, 8))
+    assert bool(seen.mask.any()) != told
+    assert not aside.mask.any()
+    assert [("smaller near=" in str(w.message)) for w in caught] == [True] * told

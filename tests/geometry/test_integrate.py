@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -152,3 +153,35 @@ def test_large_maps_start_from_half_the_size(monkeypatch: pytest.MonkeyPatch) ->
     found = integrate_normals(normal)
     assert (found - at_once).abs().max() < 0.05
     assert ((found - found.mean()) - (height - height.mean())).abs().max() < 0.1
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda n: n * torch.tensor([1.0, -1, -1]).double().reshape(3, 1, 1), "swap_opencv_frame"),
+        (lambda n: n * torch.tensor([1.0, 1, -1]).double().reshape(3, 1, 1), "100 % of them facing away"),
+        (lambda n: torch.stack((n[0], -n[2], n[1])), "world-space normals"),
+        (lambda n: (n + 1) / 2, "decode_normals"),
+        (lambda n: (255 * n).byte(), "floating-point"),
+        (lambda n: n.numpy(), "floating-point"),
+    ],
+)
+def test_normals_that_are_none_of_this_view(change: Callable[[Tensor], Tensor], words: str) -> None:
+    with pytest.raises((RangeError, ShapeError), match=words):
+        integrate_normals(change(waves(32)[1]))
+
+
+def test_lengths_do_not_matter_and_a_few_normals_may_face_away() -> None:
+    _, normal = waves(32)
+    wanted = integrate_normals(normal)
+    assert torch.allclose(integrate_normals(2 * normal), wanted, atol=1e-6)
+    assert torch.allclose(integrate_normals(0.9 * normal), wanted, atol=1e-6)
+    broken = normal.clone()
+    broken[2, :2] *= -1
+    integrate_normals(broken)
+
+
+@pytest.mark.parametrize("mask", [torch.ones(1, 32, 32, dtype=torch.uint8), torch.ones(1, 32, 32), torch.ones(32, 32)])
+def test_masks_of_other_types_are_refused_with_what_to_write(mask: Tensor) -> None:
+    with pytest.raises(ShapeError, match=r"torch.as_tensor\(mask\)(\[None\])? > 0.5"):
+        integrate_normals(waves(32)[1], mask)

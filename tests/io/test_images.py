@@ -177,3 +177,18 @@ def test_animations_that_cannot_be(tmp_path: Path) -> None:
     with pytest.raises(RangeError, match="rate"):
         write_animation(tmp_path / "a.gif", [frame], rate=0)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("grey", [0, 1, 127, 128, 255])
+@pytest.mark.parametrize("bits", [8, 16])
+def test_backgrounds_of_normal_maps(tmp_path: Path, grey: int, bits: int) -> None:
+    """Black, almost black, both greys and white are no unit vectors; averaged normals are shorter than 1."""
+    normal = torch.nn.functional.normalize(torch.randn(3, 8, 8, generator=torch.Generator().manual_seed(0)), dim=0)
+    there = torch.arange(8) < 5
+    colours = torch.where(there, encode_normals(normal), torch.tensor(grey / 255))
+    write_image(tmp_path / "n.png", colours, bits=bits)
+    stored = torch.from_numpy(read_image(tmp_path / "n.png").astype(np.float32) / (2**bits - 1)).permute(2, 0, 1)
+    found = decode_normals(stored)
+    assert (found[:, :, ~there] == 0).all()
+    assert torch.allclose(found[:, :, there], normal[:, :, there], atol=0.01)
+    assert torch.allclose(decode_normals((0.8 * normal + 1) / 2), normal, atol=1e-5)

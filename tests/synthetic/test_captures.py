@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import fields, replace
 from itertools import islice
+from pathlib import Path
 from typing import cast
 
 import pytest
@@ -14,6 +15,7 @@ import torch.nn.functional as F
 from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
+from torch.multiprocessing.spawn import spawn
 from torch.utils.data import DataLoader
 
 import torch_orennayar as ton
@@ -300,3 +302,75 @@ def test_samples_collate_into_batches() -> None:
     for batch in DataLoader(captures, batch_size=2):
         assert batch["images"].shape == (2, 3, 3, 16, 20)
         assert batch["mask"].dtype == torch.bool
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"lights": 4}, "fewest and most"),
+        ({"lights": (4.0, 8.0)}, "fewest and most"),
+        ({"seed": "one"}, "whole number"),
+        ({"length": -1}, "whole number"),
+        ({"kind": "images", "size": 64}, "in pixels"),
+        ({"mix": {"rough": 1}}, "Ingredients"),
+        ({"kind": "images", "meshes": ["bunny.obj"]}, "load_mesh"),
+        ({"kind": "images", "meshes": "bunny.obj"}, "list"),
+        ({"kind": "images", "meshes": []}, "list"),
+        ({"kind": "images", "meshes": [(torch.eye(3).numpy(), torch.tensor([[0, 1, 2]]).numpy())]}, "tensor"),
+        ({"kind": "images", "meshes": [(torch.eye(3), torch.tensor([[0, 1, 3]]))]}, "indices"),
+    ],
+)
+def test_arguments_of_other_types(options: dict[str, object], words: str) -> None:
+    with pytest.raises((ton.RangeError, ton.ShapeError), match=words):
+        SyntheticCaptures(**options)  # type: ignore[call-overload]
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"rough": 30}, {"rough": math.nan}, {"glossy": -0.1}, {"roughest": 30}, {"shadows": -1}, {"noise": 0.1},
+        {"noise": (0.1, math.inf)}, {"bits": (12, 8)}, {"bits": (0, 8)}, {"easy": "no"},
+    ],
+)  # fmt: skip
+def test_ingredients_out_of_range(options: dict[str, object]) -> None:
+    with pytest.raises(ton.RangeError, match=next(iter(options))):
+        Ingredients(**options)  # type: ignore[arg-type]
+
+
+def _draw_in_a_group(rank: int, place: str) -> None:
+    """One of two processes that make their captures before they join."""
+    captures = SyntheticCaptures(seed=4, observations=60, length=6)
+    torch.distributed.init_process_group("gloo", init_method=f"file://{place}/group", rank=rank, world_size=2)
+    workers = DataLoader(captures, batch_size=None, num_workers=1, multiprocessing_context="spawn")
+    sums = [[float(s["observed"].sum()) for s in source] for source in (captures, workers)]
+    torch.save(sums, f"{place}/{rank}.pt")
+    torch.distributed.destroy_process_group()
+
+
+@pytest.mark.slow
+def test_the_process_group_is_asked_when_iteration_begins(tmp_path: Path) -> None:
+    spawn(_draw_in_a_group, (str(tmp_path),), nprocs=2)
+    alone = [float(s["observed"].sum()) for s in SyntheticCaptures(seed=4, observations=60, length=6)]
+    for rank in range(2):
+        assert torch.load(tmp_path / f"{rank}.pt") == [alone[rank::2]] * 2
+
+
+def test_batches_of_different_numbers_of_lights() -> None:
+    captures = SyntheticCaptures("images", lights=(3, 9), size=(12, 10), length=3, seed=2)
+    samples = list(captures)
+    batch = next(iter(DataLoader(captures, batch_size=3, collate_fn=ton.collate_captures)))
+    counts = [len(s["lights"]) for s in samples]
+    assert len(set(counts)) > 1
+    assert batch["counts"].tolist() == counts
+    assert batch["images"].shape == (3, max(counts), 3, 12, 10)
+    for b, (sample, count) in enumerate(zip(samples, counts, strict=True)):
+        assert torch.equal(batch["images"][b, :count], sample["images"])
+        assert torch.equal(batch["lights"][b, :count], sample["lights"])
+        assert batch["valid"][b, :count].all()
+        assert not batch["valid"][b, count:].any()
+        assert torch.equal(batch["normal"][b], sample["normal"])
+    assert torch.allclose(batch["lights"].norm(dim=2), torch.ones(()))
+    with pytest.raises(ton.ShapeError, match="batch_size=None"):
+        ton.collate_captures([SyntheticCaptures(observations=60).sample(0)])  # type: ignore[list-item]
+    with pytest.raises(ton.ShapeError, match="one size"):
+        ton.collate_captures([samples[0], SyntheticCaptures("images", lights=(3, 3), size=(8, 8)).sample(0)])

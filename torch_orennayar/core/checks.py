@@ -22,7 +22,7 @@ def checking() -> bool:
     return not torch.compiler.is_compiling()
 
 
-def check_mask(mask: Tensor | None, image: Tensor) -> Tensor:
+def check_mask(mask: object, image: Tensor) -> Tensor:
     """The mask (1, H, W) bool of the object in ``image`` (..., H, W), all pixels if it is None.
 
     Raises:
@@ -32,10 +32,10 @@ def check_mask(mask: Tensor | None, image: Tensor) -> Tensor:
     size = (1, *image.shape[-2:])
     if mask is None:
         return torch.ones(size, dtype=torch.bool, device=image.device)
-    if tuple(mask.shape) != size or mask.dtype != torch.bool:
-        raise ShapeError(
-            "mask", expected=f"{size} bool", got=f"{tuple(mask.shape)} {mask.dtype}", mend="mask[None] > 0.5"
-        )
+    if not isinstance(mask, Tensor) or tuple(mask.shape) != size or mask.dtype != torch.bool:
+        got = f"{tuple(mask.shape)} {mask.dtype}" if isinstance(mask, Tensor) else type(mask).__name__
+        mend = "torch.as_tensor(mask)[None] > 0.5" if getattr(mask, "ndim", 3) == 2 else "torch.as_tensor(mask) > 0.5"
+        raise ShapeError("mask", expected=f"a tensor {size} bool", got=got, mend=mend)
     if not bool(mask.any()):
         raise CaptureError("mask", expected="at least one pixel", got="none", mend="mark the object")
     return mask

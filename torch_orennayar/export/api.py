@@ -9,6 +9,7 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
+from ..core.defaults import independent_of_defaults
 from ..core.errors import ExportError
 from ..core.files import atomic_path
 from ..core.optional import require
@@ -24,6 +25,7 @@ from .stereo_graph import stereo_task
 from .verify import verify
 
 
+@independent_of_defaults
 def export_onnx(
     what: str | nn.Module,
     path: str | os.PathLike[str],

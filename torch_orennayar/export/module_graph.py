@@ -56,8 +56,9 @@ def module_task(
     if not example or not all(isinstance(t, Tensor) for t in example):
         got = "none" if not example else "values that are not tensors"
         raise ExportError("example_inputs", expected="a tuple of tensors", got=got, mend="give what forward takes")
+    example = tuple(t.detach().cpu().contiguous() for t in example)
     copied = evaluation_copy(module, example)
-    inputs = list(input_names) if input_names is not None else [f"input_{k}" for k in range(len(example))]
+    inputs = _names("input", input_names, len(example))
     graph = module_graph(copied, example, inputs, output_names)
     return ExportTask(graph, {}, inputs, [example, *_trials_of_other_sizes(graph, copied, example)], copied)
 
@@ -89,13 +90,34 @@ def module_graph(
     module: EvaluationCopy, example: tuple[Tensor, ...], inputs: Sequence[str], outputs: Sequence[str] | None
 ) -> onnx.ModelProto:
     """The graph of a module; axes longer than 1 are dynamic where the module allows it."""
-    names = list(outputs) if outputs is not None else [f"output_{k}" for k in range(len(module(*example)))]
+    names = _names("output", outputs, len(module(*example)))
+    if set(names) & set(inputs):
+        both = ", ".join(sorted(set(names) & set(inputs)))
+        raise ExportError("output_names", expected="other names than the inputs'", got=both, mend="rename them")
     auto = torch.export.Dim.AUTO
     shapes = tuple({a: auto for a, size in enumerate(t.shape) if size > 1} for t in example)
     graph = trace(lambda: module.single, example, inputs, names, shapes, MODULE_ERROR)
     _fix_axes(graph, module, example)
     _name_axes(graph)
     return graph
+
+
+def _names(kind: str, given: Sequence[object] | None, count: int) -> list[str]:
+    """The names of ``count`` inputs or outputs."""
+    if given is None:
+        return [f"{kind}_{k}" for k in range(count)]
+    names = [given] if isinstance(given, str) else list(given)
+    words = [name for name in names if isinstance(name, str) and name]
+    if len(names) != count:
+        raise ExportError(
+            f"{kind}_names",
+            expected=f"{count} names, one per {kind}",
+            got=f"{len(names)}: {', '.join(map(str, names))}",
+            mend=f"give one name per {kind}",
+        )
+    if len(set(words)) < count:
+        raise ExportError(f"{kind}_names", expected="different words", got=str(names), mend="rename them")
+    return words
 
 
 def _fix_axes(graph: onnx.ModelProto, module: EvaluationCopy, example: tuple[Tensor, ...]) -> None:

@@ -15,8 +15,10 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from ..core.defaults import independent_of_defaults
 from ..core.errors import RangeError, ShapeError
 from ..core.optional import require
+from .camera_checks import check_extrinsics, check_intrinsics
 from .frames import swap_opencv_frame
 
 if TYPE_CHECKING:
@@ -53,6 +55,7 @@ class Camera:
     aspect: float | None = None
 
     @staticmethod
+    @independent_of_defaults
     def orthographic(
         half_height: float | Tensor = 1.0,
         eye: Vector = (0.0, 0.0, 2.0),
@@ -84,6 +87,7 @@ class Camera:
         return _look_at(eye, target, up, 1 / extent, perspective=False)
 
     @staticmethod
+    @independent_of_defaults
     def perspective(
         fov_y: float | Tensor,
         eye: Vector = (0.0, 0.0, 3.0),
@@ -122,6 +126,7 @@ class Camera:
         return _look_at(eye, target, up, 1 / (angle / 2).tan(), perspective=True, near=near)
 
     @staticmethod
+    @independent_of_defaults
     def from_intrinsics(
         intrinsics: Tensor, size: tuple[int, int], extrinsics: Tensor | None = None, *, near: float = NEAR
     ) -> Camera:
@@ -136,7 +141,8 @@ class Camera:
 
         Raises:
             ShapeError: other shapes.
-            RangeError: skew, or focal lengths that are not positive.
+            RangeError: skew, focal lengths that are not positive, numbers that are not finite, or extrinsics whose
+                rotation is none, beyond rounding.
 
         Example:
             >>> import torch, torch_orennayar as ton
@@ -149,16 +155,8 @@ class Camera:
             raise ShapeError(
                 "intrinsics", expected="(3, 3) or (B, 3, 3)", got=str(tuple(intrinsics.shape)), mend="give K"
             )
+        check_intrinsics(k)
         focal = torch.stack((k[:, 0, 0], k[:, 1, 1]), 1)
-        last_row = k[:, 2] == k.new_tensor((0.0, 0.0, 1.0))
-        sound = bool((focal > 0).all()) and bool(k.isfinite().all()) and bool(last_row.all())
-        if not sound or bool((k[:, 0, 1] != 0).any()):
-            raise RangeError(
-                "intrinsics",
-                expected="finite, positive focal lengths, no skew, last row 0 0 1",
-                got=str(k[0].tolist()),
-                mend="rectify the images",
-            )
         half = size[0] / 2
         right = (k[:, 0, 2] + 0.5 - size[1] / 2) / half
         up = -(k[:, 1, 2] + 0.5 - size[0] / 2) / half
@@ -167,6 +165,7 @@ class Camera:
         e = extrinsics if extrinsics.ndim == 3 else extrinsics[None]
         if e.shape[1:] not in ((4, 4), (3, 4)):
             raise ShapeError("extrinsics", expected="(4, 4) or (3, 4)", got=str(tuple(e.shape)), mend="world to camera")
+        check_extrinsics(e)
         rotation = swap_opencv_frame(e[:, :3, :3], dim=1)
         eye = -(e[:, :3, :3].transpose(1, 2) @ e[:, :3, 3:])[:, :, 0]
         batch = max(len(k), len(e))

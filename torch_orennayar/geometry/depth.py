@@ -6,11 +6,13 @@ import torch
 from torch import Tensor
 
 from ..core.checks import check_floating
+from ..core.defaults import independent_of_defaults
 from ..core.errors import ShapeError
 from .camera import Camera
 from .mesh import unit_or_zero
 
 
+@independent_of_defaults
 def depth_to_normals(depth: Tensor, *, mask: Tensor | None = None, camera: Camera | None = None) -> Tensor:
     """Normals of a depth map, the inverse of `integrate_normals`.
 

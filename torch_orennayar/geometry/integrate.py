@@ -9,9 +9,11 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
-from ..core.errors import CaptureError, RangeError, ShapeError
+from ..core.checks import UNIT_TOLERANCE, check_floating, check_mask
+from ..core.errors import RangeError, ShapeError
 from ..core.optional import require
 from ..core.progress import track
 from .camera import Camera
@@ -22,6 +24,8 @@ Indices: TypeAlias = npt.NDArray[np.int64]
 
 MIN_FACING = 0.02
 """Smallest cosine between normal and view, below which the slope is clamped: 88.9 degrees, set by hand."""
+MAX_FACING_AWAY = 0.2
+"""Share of the normals inside the mask that may face away from the camera, by noise or at the rim; set by hand."""
 SHARPNESS = (0.02, 8.0)
 """First and last slope of the logistic function by which a pixel prefers the flatter of its two sides, per squared
 slope of the surface.
@@ -65,7 +69,7 @@ def integrate_normals(normal: Tensor, mask: Tensor | None = None, *, camera: Cam
 
     Raises:
         ShapeError: shapes other than these.
-        RangeError: NaN inside the mask.
+        RangeError: NaN inside the mask, normals that mostly face away, or colours that were not decoded.
         CaptureError: an empty mask.
 
     Source:
@@ -78,9 +82,9 @@ def integrate_normals(normal: Tensor, mask: Tensor | None = None, *, camera: Cam
         >>> [round(v, 2) + 0 for v in ton.integrate_normals(tilted).flatten().tolist()]
         [-0.75, 0.0, 0.75]
     """
-    inside = _check(normal, mask)
+    inside = _check(normal, mask, camera)
     size = (inside.shape[0], inside.shape[1])
-    n = normal.detach().cpu().double()
+    n = F.normalize(normal.detach().cpu().double(), dim=0)
     perspective = camera is not None and camera.is_perspective
     right, down = (1.0, 1.0) if camera is None else (2 / (size[0] * camera.focal[0].double())).tolist()
     rays = camera.rays(size)[0].double().cpu().numpy() if camera is not None and perspective else None
@@ -240,17 +244,29 @@ def _centre(height: Floats, inside: Bools) -> Floats:
     return canvas
 
 
-def _check(normal: Tensor, mask: Tensor | None) -> Tensor:
+def _check(normal: Tensor, mask: Tensor | None, camera: Camera | None) -> Tensor:
+    """The mask (H, W) bool of normals that can be integrated."""
+    check_floating(normal=normal)
     if normal.ndim != 3 or normal.shape[0] != 3:
         raise ShapeError("normal", expected="(3, H, W)", got=str(tuple(normal.shape)), mend="integrate one at a time")
-    if mask is None:
-        mask = (normal != 0).any(0, keepdim=True)
-    if tuple(mask.shape) != (1, *normal.shape[1:]):
-        raise ShapeError(
-            "mask", expected=str((1, *normal.shape[1:])), got=str(tuple(mask.shape)), mend="one mask per normal map"
+    inside = check_mask((normal != 0).any(0, keepdim=True) if mask is None else mask, normal)[0]
+    seen = normal[:, inside]
+    if not bool(seen.isfinite().all()):
+        raise RangeError(
+            "normal", expected="finite values inside the mask", got="NaN or infinity", mend="take them out of the mask"
         )
-    if not bool(mask.any()):
-        raise CaptureError("mask", expected="some pixels", got="none", mend="mark the object")
-    if not bool(normal[:, mask[0]].isfinite().all()):
-        raise RangeError("normal", expected="finite values inside the mask", got="NaN or infinity", mend="shrink mask")
-    return mask[0]
+    if bool((seen >= 0).all()) and bool(((seen.norm(dim=0) - 1).abs() > UNIT_TOLERANCE).double().mean() > 0.5):
+        raise RangeError("normal", expected="unit vectors", got="colours from 0 to 1", mend="use decode_normals")
+    size = (normal.shape[1], normal.shape[2])
+    view = camera.view_directions(size)[0].to(normal)[:, inside] if camera is not None else None
+    toward = seen[2] if view is None or not camera or not camera.is_perspective else (seen * view).sum(0)
+    away = float((toward < 0).double().mean())
+    if away > MAX_FACING_AWAY:
+        raise RangeError(
+            "normal",
+            expected="normals toward the camera (x right, y up, z toward the viewer)",
+            got=f"{100 * away:.0f} % of them facing away",
+            mend="use swap_opencv_frame for OpenCV's frame (y down, z forward), turn world-space normals into the "
+            "camera's frame, and compute z where a map stores two channels",
+        )
+    return inside

@@ -12,6 +12,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from ..core.defaults import independent_of_defaults
 from ..core.errors import FileError, MissingPackageError, RangeError
 from ..core.findings import Finding
 from ..core.optional import require
@@ -60,6 +61,7 @@ class Capture:
     notes: tuple[Finding, ...] = field(default=())
     valid: Tensor | None = None
 
+    @independent_of_defaults
     def with_own_intensities(self, *, seed: int = 0) -> Capture:
         """The capture divided by light intensities estimated from itself instead of those it was loaded with.
 
@@ -77,6 +79,7 @@ class Capture:
         return replace(self, images=images, intensities=found.expand(-1, 3).float(), notes=notes)
 
 
+@independent_of_defaults
 def load_capture(
     path: str | os.PathLike[str],
     *,
@@ -170,6 +173,7 @@ def _check_encoding(encoding: str) -> None:
         raise RangeError("encoding", expected="'auto', 'linear' or 'srgb'", got=repr(encoding), mend="choose one")
 
 
+@independent_of_defaults
 def load_photograph(
     path: str | os.PathLike[str],
     light: Tensor,
@@ -200,6 +204,7 @@ def load_photograph(
     return Capture(images, light[None], torch.ones(1, 3), inside, None, (Path(path).name,), notes, valid)
 
 
+@independent_of_defaults
 def save_capture(
     path: str | os.PathLike[str],
     images: Tensor,
@@ -230,6 +235,7 @@ def save_capture(
         np.save(folder / "normal_gt.npy", normal.permute(1, 2, 0).cpu().numpy())
 
 
+@independent_of_defaults
 def load_ball(
     path: str | os.PathLike[str], *, mask: str | os.PathLike[str] | None = None, encoding: str = "auto"
 ) -> tuple[Tensor, Tensor | None]:

@@ -18,6 +18,9 @@ from .picture import read_picture
 
 ANIMATIONS = frozenset({".gif", ".mp4"})
 """Suffixes that `write_animation` writes."""
+UNIT_LENGTHS = (0.5, 1.3)
+"""Lengths between which a decoded colour is a normal: averaged ones are shorter than 1, grey has 0, white and black
+have 1.73. Set by hand."""
 GIF_PALETTE_PIXELS = 1_000_000
 """Pixels from all frames, about, that the palette of a GIF is computed from; set by hand, for memory."""
 
@@ -166,14 +169,14 @@ def encode_normals(normal: Tensor, mask: Tensor | None = None, *, green: str = "
 
 
 def decode_normals(image: Tensor, *, green: str = "up") -> Tensor:
-    """Unit normals from their colours; black is the background, where the normal is zero.
+    """Unit normals from their colours; colours that are no unit vector, as black, grey or white, are the background.
 
     Args:
         image: (..., 3, H, W) in [0, 1], as stored (no sRGB curve); differentiable.
         green: as in `encode_normals`.
 
     Returns:
-        (..., 3, H, W), unit or zero.
+        (..., 3, H, W), unit; zero in the background: where the vector is shorter than 0.5 or longer than 1.3.
 
     Raises:
         RangeError: another ``green``.
@@ -184,8 +187,9 @@ def decode_normals(image: Tensor, *, green: str = "up") -> Tensor:
         >>> bool(torch.allclose(ton.decode_normals(ton.encode_normals(n, green="down"), green="down"), n, atol=1e-6))
         True
     """
-    background = (image == 0).all(-3, keepdim=True)
     normal = (2 * image - 1) * _green_sign(image, green)
+    length = normal.detach().norm(dim=-3, keepdim=True)
+    background = (length < UNIT_LENGTHS[0]) | (length > UNIT_LENGTHS[1])
     return torch.nn.functional.normalize(normal, dim=-3).masked_fill(background, 0.0)
 
 

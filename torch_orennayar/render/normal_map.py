@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from numbers import Integral
 
 import torch
 from torch import Tensor, nn
 
 from ..core.checks import check_floating
 from ..core.errors import RangeError, ShapeError
+from ..core.warn import warn
 from ..geometry.camera import Camera
 from ..geometry.mesh import check_mesh, sum_normals, unit_or_zero, warn_of_winding
 from .interpolate import VertexAttributes, interpolate
@@ -135,7 +137,20 @@ def render_normals(
     check_size(size)
     if smooth and vertex_normals is None:
         warn_of_winding(faces)
-    return rasterise(world, faces, camera, size, smooth=smooth, vertex_normals=vertex_normals, cull=cull)
+    seen = rasterise(world, faces, camera, size, smooth=smooth, vertex_normals=vertex_normals, cull=cull)
+    if camera.is_perspective and not bool(seen.mask.any()):
+        _warn_of_near_plane(world, camera)
+    return seen
+
+
+def _warn_of_near_plane(world: Tensor, camera: Camera) -> None:
+    """Say why a picture is empty where the near plane cuts all of a mesh away."""
+    depth = -camera.to_camera_frame(world.detach().double())[..., 2]
+    if depth.numel() and bool((depth < camera.near).all()) and bool((depth > 0).any()):
+        warn(
+            f"nothing is drawn: all of the mesh lies before near={camera.near:g}, at depths up to "
+            f"{depth.max().item():.3g}; make the camera with a smaller near="
+        )
 
 
 def rasterise(
@@ -149,7 +164,7 @@ def rasterise(
     cull: str | None = None,
 ) -> NormalMap:
     """`render_normals` of vertices (B, V, 3) without checks, as it is traced into a graph."""
-    height, width = size
+    height, width = (int(n) for n in size)
     batch = max(world.shape[0], len(camera.eye))
     corners = camera.to_camera_frame(world.double()).expand(batch, -1, -1)
     image = camera.to_image(corners, size)
@@ -190,9 +205,9 @@ def _unit_normals(world: Tensor, faces: Tensor, given: Tensor | None, camera: Ca
 
 def check_size(size: object) -> None:
     """Check for (H, W), two whole numbers in the range of the exact arithmetic."""
-    if not (
-        isinstance(size, Sequence) and len(size) == 2 and all(isinstance(n, int) and 1 <= n <= MAX_SIDE for n in size)
-    ):
+    given = list(size) if isinstance(size, Sequence) else []
+    sides = [int(n) for n in given if isinstance(n, Integral)]
+    if len(given) != 2 or len(sides) != 2 or not all(1 <= n <= MAX_SIDE for n in sides):
         raise ShapeError("size", expected=f"(H, W), each from 1 to {MAX_SIDE}", got=repr(size), mend="give pixels")
 
 

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from ..core.checks import check_floating, check_unit
+from ..core.defaults import independent_of_defaults
 from ..core.errors import ShapeError
 from ..core.progress import track
 from ..geometry.camera import Camera
@@ -14,6 +15,7 @@ from .normal_map import NormalMap, check_size, render_normals
 
 
 @torch.no_grad()
+@independent_of_defaults
 def cast_shadows(vertices: Tensor, faces: Tensor, seen: NormalMap, lights: Tensor, *, resolution: int = 1024) -> Tensor:
     """The share of each light that reaches each pixel past other parts of the mesh.
 

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from ..core.checks import check_floating
+from ..core.defaults import independent_of_defaults
 from ..core.errors import RangeError
 from ..core.findings import Finding
 from ..core.warn import warn
@@ -35,6 +36,7 @@ CORNER_SHARE = 1e-3
 
 
 @torch.no_grad()
+@independent_of_defaults
 def shape_from_shading(
     image: Tensor,
     light: Tensor,

@@ -10,6 +10,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from ..core.checks import check_floating, check_unit
+from ..core.defaults import independent_of_defaults
 from ..core.errors import CaptureError, RangeError, ShapeError
 from ..core.optional import require
 from ..geometry.primitives import Ball
@@ -210,6 +211,7 @@ def ball_intensities(images: Tensor, lights: Tensor, ball: Ball) -> Tensor:
 
 
 @torch.no_grad()
+@independent_of_defaults
 def own_intensities(images: Tensor, lights: Tensor, mask: Tensor | None = None, *, seed: int = 0) -> Tensor:
     """Intensities of the lights from the capture itself (semi-calibrated), normalised to a mean of 1.
 

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from ..core.checks import check_floating, check_mask
+from ..core.defaults import independent_of_defaults
 from ..core.errors import RangeError, ShapeError
 from ..core.progress import track
 from ..geometry.camera import Camera
@@ -24,6 +25,7 @@ none. Set by hand."""
 
 
 @torch.no_grad()
+@independent_of_defaults
 def near_light_stereo(
     images: Tensor,
     positions: Tensor,

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from ..core.checks import check_floating
+from ..core.defaults import independent_of_defaults
 from ..core.errors import CaptureError, ShapeError
 from ..core.findings import Finding
 from ..reconstruction import Reconstruction, stack
@@ -27,6 +28,7 @@ WHITE = 1.05
 
 
 @torch.no_grad()
+@independent_of_defaults
 def photometric_stereo(
     images: Tensor,
     lights: Tensor,

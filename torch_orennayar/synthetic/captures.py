@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Iterator, Sequence
 from typing import Literal, TypeVar, cast, overload
 
@@ -10,8 +11,11 @@ import torch
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset, IterableDataset, get_worker_info
 
-from ..core.errors import RangeError
+from ..core.defaults import independent_of_defaults
+from ..core.errors import RangeError, ShapeError
 from ..core.progress import track
+from ..geometry.mesh import check_mesh
+from ..geometry.mesh_files import Mesh
 from .images import SyntheticImages, draw_images
 from .pixels import (
     Draw,
@@ -25,7 +29,7 @@ from .pixels import (
     record_pixels,
     shade_pixels,
 )
-from .scenes import SCENE_LIGHTS, Mesh, RenderedScene, draw_scene
+from .scenes import SCENE_LIGHTS, MeshTensors, RenderedScene, draw_scene
 
 SCENE_SHARE = 0.8
 """Share of the samples of ``"pixels"`` that are taken from rendered scenes where there are any. Set by the error of
@@ -43,7 +47,10 @@ class SyntheticCaptures(IterableDataset[Sample]):
     own. Those of kind ``"images"`` are `SyntheticImages`: one mesh in one textured material with cast shadows, seen by
     a random camera. Light is linear; directions are unit vectors in the camera frame.
 
-    Workers of a `DataLoader` and ranks of a process group share the indices among themselves.
+    Workers of a `DataLoader` and ranks of a process group share the indices among themselves; the group is asked when
+    iteration begins, so that captures may be made before it. Where a trainer shards iterable datasets itself, as
+    Hugging Face's accelerate does, pass ``rank=0, world=1``. Batches of ``"images"`` whose number of lights varies need
+    ``collate_fn=collate_captures``; a sample of ``"pixels"`` is a batch: use ``batch_size=None``.
 
     Args:
         kind: ``"pixels"`` or ``"images"``.
@@ -60,12 +67,13 @@ class SyntheticCaptures(IterableDataset[Sample]):
         size: (H, W) of ``"images"``.
         meshes: (vertices, faces) of ``"images"`` and scenes; default: bumpy balls, rings and heaps of balls.
         device: where captures are made.
-        rank: of this process; default: of the process group, or 0.
-        world: number of processes; default: of the process group, or 1.
+        rank: of this process; default: of the process group when iteration begins, or 0.
+        world: number of processes; default: of the process group when iteration begins, or 1.
 
     Raises:
         RangeError: an unknown kind, fewer than 3 lights, or more than 48 in scenes, fewer than 0 scenes or scenes of
-            ``"images"``, a rank that is not below ``world``, or meshes that show nothing.
+            ``"images"``, a rank that is not below ``world``, meshes that show nothing, or numbers of another type.
+        ShapeError: meshes that are not pairs of tensors.
 
     Example:
         >>> import torch_orennayar as ton
@@ -86,7 +94,7 @@ class SyntheticCaptures(IterableDataset[Sample]):
         lights: tuple[int, int] = (12, 100),
         observations: int = 12_288,
         scenes: int = 0,
-        meshes: Sequence[Mesh] | None = None,
+        meshes: Sequence[MeshTensors] | None = None,
         device: torch.device | str = "cpu",
         rank: int | None = None,
         world: int | None = None,
@@ -103,7 +111,7 @@ class SyntheticCaptures(IterableDataset[Sample]):
         mix: Ingredients | None = None,
         lights: tuple[int, int] = (12, 100),
         size: tuple[int, int] = (64, 64),
-        meshes: Sequence[Mesh] | None = None,
+        meshes: Sequence[MeshTensors] | None = None,
         device: torch.device | str = "cpu",
         rank: int | None = None,
         world: int | None = None,
@@ -121,14 +129,14 @@ class SyntheticCaptures(IterableDataset[Sample]):
         observations: int = 12_288,
         scenes: int = 0,
         size: tuple[int, int] = (64, 64),
-        meshes: Sequence[Mesh] | None = None,
+        meshes: Sequence[MeshTensors] | None = None,
         device: torch.device | str = "cpu",
         rank: int | None = None,
         world: int | None = None,
     ) -> None:
         if kind not in ("pixels", "images"):
             raise RangeError("kind", expected="'pixels' or 'images'", got=repr(kind), mend="choose one")
-        if not 3 <= lights[0] <= lights[1]:
+        if not _is_pair(lights) or not 3 <= lights[0] <= lights[1]:
             raise RangeError("lights", expected="fewest and most, 3 or more", got=str(lights), mend="put them in order")
         if scenes and lights[0] > SCENE_LIGHTS:
             most = f"fewest lights of at most {SCENE_LIGHTS} in scenes"
@@ -139,8 +147,35 @@ class SyntheticCaptures(IterableDataset[Sample]):
         self.mix, self.lights, self.observations, self.size = mix or Ingredients(), lights, observations, size
         self.meshes, self.device = meshes, torch.device(device)
         self.scenes, self._rendered = scenes, dict[int, RenderedScene]()
-        self.rank = rank if rank is not None else torch.distributed.get_rank() if _grouped() else 0
-        self.world = world if world is not None else torch.distributed.get_world_size() if _grouped() else 1
+        self._rank, self._world = rank, world
+        self._check_numbers()
+        if meshes is not None:
+            _check_meshes(meshes)
+
+    @property
+    def rank(self) -> int:
+        """Of this process."""
+        return self._rank if self._rank is not None else torch.distributed.get_rank() if _grouped() else 0
+
+    @property
+    def world(self) -> int:
+        """Number of processes."""
+        return self._world if self._world is not None else torch.distributed.get_world_size() if _grouped() else 1
+
+    def __getstate__(self) -> dict[str, object]:
+        """What a worker process gets: it does not belong to the process group."""
+        return self.__dict__ | {"_rank": self.rank, "_world": self.world}
+
+    def _check_numbers(self) -> None:
+        whole: dict[str, object] = {"seed": self.seed, "start": self.start, "observations": self.observations}
+        whole |= {} if self.length is None else {"length": self.length}
+        for name, value in whole.items():
+            if not isinstance(value, int) or (value < 0 and name != "seed"):
+                raise RangeError(name, expected="a whole number, 0 or more", got=repr(value), mend="correct it")
+        if not _is_pair(self.size) or min(self.size) < 1:
+            raise RangeError("size", expected="(H, W) in pixels", got=repr(self.size), mend="give two whole numbers")
+        if not isinstance(self.mix, Ingredients):
+            raise RangeError("mix", expected="Ingredients", got=repr(self.mix), mend="give Ingredients(...)")
         if not 0 <= self.rank < self.world:
             raise RangeError("rank", expected=f"0 to {self.world - 1}", got=str(self.rank), mend="count from 0")
 
@@ -155,6 +190,7 @@ class SyntheticCaptures(IterableDataset[Sample]):
             index += step
 
     @torch.no_grad()
+    @independent_of_defaults
     def sample(self, index: int) -> Sample:
         """Capture number ``index``."""
         draw = self._draw(self.kind, index)
@@ -166,6 +202,7 @@ class SyntheticCaptures(IterableDataset[Sample]):
             made = draw_images(draw, count, self.mix, self.size, self.meshes)
         return cast("Sample", made)  # the overloads of __init__ tie the type of samples to the kind
 
+    @independent_of_defaults
     def render_scenes(self, workers: int = 0) -> None:
         """Render all scenes now; workers of a `DataLoader` then share them.
 
@@ -189,6 +226,7 @@ class SyntheticCaptures(IterableDataset[Sample]):
             self._rendered |= scenes_of_rank
 
     @torch.no_grad()
+    @independent_of_defaults
     def render_scene(self, number: int) -> RenderedScene:
         """Scene ``number``, rendered anew."""
         return draw_scene(self._draw("scene", number), min(self.lights[1], SCENE_LIGHTS), self.meshes)
@@ -230,6 +268,22 @@ class SyntheticCaptures(IterableDataset[Sample]):
         reached = reached if self.mix.shadows else torch.ones_like(reached)
         around = Surroundings(reached, reflected * self.mix.bounce)
         return scene.lights[some].expand(pixels, -1, -1), scene.normal[which], around
+
+
+def _is_pair(value: object) -> bool:
+    return isinstance(value, (tuple, list)) and len(value) == 2 and all(isinstance(n, int) for n in value)
+
+
+def _check_meshes(meshes: object) -> None:
+    """Check for a sequence of (vertices, faces)."""
+    if not isinstance(meshes, Sequence) or isinstance(meshes, (str, Mesh)) or not meshes:
+        got = type(meshes).__name__
+        raise ShapeError("meshes", expected="a list of (vertices, faces)", got=got, mend="put meshes into a list")
+    for mesh in meshes:
+        if not isinstance(mesh, tuple) or len(mesh) != 2:
+            mend = "use load_mesh" if isinstance(mesh, (str, os.PathLike)) else "give (vertices, faces)"
+            raise ShapeError("meshes", expected="pairs (vertices, faces)", got=repr(mesh)[:60], mend=mend)
+        check_mesh(*mesh)
 
 
 def _grouped() -> bool:

@@ -15,7 +15,7 @@ from ..render.normal_map import render_normals
 from ..render.radiosity import SeenSurface, light_between
 from ..render.shadow import cast_shadows
 from .pixels import Draw, Ingredients, Materials, draw_lights, draw_materials, perturb_lights
-from .scenes import Mesh, draw_mesh
+from .scenes import MeshTensors, draw_mesh
 
 SHADOW_OVERSAMPLING = 4
 """Side of the shadow maps over that of the picture. Set by hand."""
@@ -52,7 +52,7 @@ class SyntheticImages(TypedDict):
 
 
 def draw_images(
-    draw: Draw, count: int, mix: Ingredients, size: tuple[int, int], meshes: Sequence[Mesh] | None
+    draw: Draw, count: int, mix: Ingredients, size: tuple[int, int], meshes: Sequence[MeshTensors] | None
 ) -> SyntheticImages:
     """A mesh seen by a random camera under ``count`` lights, with cast shadows and interreflection."""
     vertices, faces = draw_mesh(draw, meshes)

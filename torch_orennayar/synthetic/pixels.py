@@ -9,13 +9,14 @@ they rest on for materials is said at `Ingredients`.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import NamedTuple, TypedDict
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from ..core.errors import RangeError
 from ..reflectance.models import get_model
 from ..reflectance.specular import microfacet
 
@@ -89,6 +90,34 @@ class Ingredients:
     outliers: float = 0.18
     bits: tuple[float, float] = (6.5, 14.0)
     easy: float = 0.35
+
+    def __post_init__(self) -> None:
+        """Check every value.
+
+        Raises:
+            RangeError: a share outside [0, 1], a size below 0, a pair out of order, or something that is no number.
+        """
+        for field in fields(self):
+            value, name = getattr(self, field.name), f"Ingredients({field.name}=)"
+            if isinstance(field.default, tuple):
+                sound = isinstance(value, tuple) and len(value) == 2 and all(map(_is_size, value))
+                if not sound or (field.name == "bits" and not 1 <= value[0] <= value[1]):
+                    raise RangeError(name, expected="a pair of numbers, 0 or more", got=repr(value), mend="correct it")
+            elif field.name in _SIZES:
+                most = _SIZES[field.name]
+                if not _is_size(value) or value > most:
+                    mend = "angles are radians: use math.radians" if math.isfinite(most) else "correct it"
+                    raise RangeError(name, expected=f"a number from 0 to {most:.3g}", got=repr(value), mend=mend)
+            elif not _is_size(value) or value > 1:
+                raise RangeError(name, expected="a share from 0 to 1", got=repr(value), mend="correct it")
+
+
+_SIZES = {"roughest": math.pi / 2, "light_error": math.pi / 2, "shadows": math.inf, "intensity_error": math.inf}
+"""Largest values of the ingredients that are no share."""
+
+
+def _is_size(value: object) -> bool:
+    return isinstance(value, (int, float)) and math.isfinite(value) and value >= 0
 
 
 class Draw:

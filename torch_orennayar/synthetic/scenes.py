@@ -17,7 +17,7 @@ from ..render.radiosity import SeenSurface, light_between
 from ..render.shadow import cast_shadows
 from .pixels import Draw, draw_lights
 
-Mesh = tuple[Tensor, Tensor]
+MeshTensors = tuple[Tensor, Tensor]
 
 SIDE = 80
 """Pixels; side of the picture that a scene is rendered as. Set by hand, for half a second a scene."""
@@ -48,7 +48,7 @@ class RenderedScene(NamedTuple):
     reflected: Tensor
 
 
-def draw_scene(draw: Draw, count: int, meshes: Sequence[Mesh] | None) -> RenderedScene:
+def draw_scene(draw: Draw, count: int, meshes: Sequence[MeshTensors] | None) -> RenderedScene:
     """A mesh of one albedo that casts shadows on itself and reflects light onto itself, under ``count`` lights.
 
     Raises:
@@ -73,7 +73,7 @@ def _render_scene(draw: Draw, count: int, vertices: Tensor, faces: Tensor) -> Re
     return RenderedScene(lights, *(part[kept].contiguous() for part in (surface.normal, reached, reflected)))
 
 
-def draw_mesh(draw: Draw, meshes: Sequence[Mesh] | None = None) -> Mesh:
+def draw_mesh(draw: Draw, meshes: Sequence[MeshTensors] | None = None) -> MeshTensors:
     """One of the given meshes, or a random one, in the unit sphere and turned at random."""
     if meshes:
         choice = min(int(draw.uniform(1).item() * len(meshes)), len(meshes) - 1)
@@ -87,7 +87,7 @@ def draw_mesh(draw: Draw, meshes: Sequence[Mesh] | None = None) -> Mesh:
     return vertices / vertices.norm(dim=1).amax().clamp_min(1e-9), faces
 
 
-def _random_mesh(draw: Draw) -> Mesh:
+def _random_mesh(draw: Draw) -> MeshTensors:
     """A bumpy ball, a bumpy ring, or a heap of balls."""
     require("trimesh")
     import trimesh
