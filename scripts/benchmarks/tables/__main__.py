@@ -55,6 +55,8 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "onnx stereo": shading.onnx_stereo,
     "stability": shading.stability,
     "rounding": shading.rounding,
+    "fuzzing": shading.fuzzing,
+    "gpu": rendering.gpu,
     "finding codes": shading.finding_codes,
     "renderer comparison": rendering.comparison,
     "renderer accuracy": rendering.accuracy,

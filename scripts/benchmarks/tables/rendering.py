@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
+
 from scripts.benchmarks.markdown import NOTHING, short, table
-from scripts.benchmarks.record import load_section
+from scripts.benchmarks.record import load_section, sources
 
 RENDERER = "benchmark_renderer"
 TARGETS = {"20480 triangles": "llvmpipe (OpenGL)", "327680 triangles": "Mitsuba 3 (LLVM)"}
 """The renderer whose time is aimed at, by the mesh."""
+GPU_SECTIONS = ("parity", "shading", "renderer", "stereo", "data")
+"""Sections of the measurement on an accelerator."""
 
 
 def comparison() -> str:
@@ -49,3 +53,22 @@ def memory() -> str:
     section = load_section(RENDERER, "memory")
     rows = [[name, short(value, 3)] for name, value in section.results.items()]
     return f"{section.source}\n\n{table(['peak memory', 'MB'], rows)}"
+
+
+def gpu() -> str:
+    """What `gpu` measured on an accelerator, number by number."""
+    found = {title: load_section("gpu", title) for title in GPU_SECTIONS}
+    rows = [[title, name, words] for title, section in found.items() for name, words in _numbers(section.results)]
+    return f"{sources(*found.values())}\n\n{table(['section', 'what', 'value'], rows)}"
+
+
+def _numbers(results: Mapping[str, object], prefix: str = "") -> Iterator[tuple[str, str]]:
+    """Names and values of nested results; of a ratio its median."""
+    for name, value in results.items():
+        whole = f"{prefix}, {name}" if prefix else name
+        if isinstance(value, Mapping) and "median" in value:
+            yield whole, short(value["median"])
+        elif isinstance(value, Mapping):
+            yield from _numbers(value, whole)
+        elif isinstance(value, (int, float)):
+            yield whole, f"{value:,}" if isinstance(value, int) else short(value)

@@ -143,6 +143,14 @@ def rounding() -> str:
     return f"{section.source}\n\n{table(header, rows)}"
 
 
+def fuzzing() -> str:
+    """Counts of what happened to mutated files, by reader."""
+    section = load_section("fuzz", "counts")
+    kinds = list(next(iter(section.results.values())))
+    rows = [[name, *(f"{row[kind]:,}" for kind in kinds)] for name, row in section.results.items()]
+    return f"{section.source}\n\n{table(['reader', *kinds], rows)}"
+
+
 def finding_codes() -> str:
     """Codes of findings and what they mean."""
     return table(["code", "what it says"], [[f"`{code}`", meaning] for code, meaning in CODES.items()])

@@ -1,0 +1,1 @@
+"""Mutated files for every reader, as the best file libraries are tested."""
