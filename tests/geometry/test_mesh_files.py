@@ -121,6 +121,13 @@ def test_colours_are_written(tmp_path: Path) -> None:
         ("a.off", b"NO\n", FileError),
         ("a.ply", b"ply\nformat ascii 1.0\nelement vertex 1000000000\nproperty float x\nend_header\n1\n", FileError),
         ("a.ply", b"ply\nformat ascii 1.0\nelement vertex 1\nproperty word x\nend_header\n1\n", FileError),
+        ("a.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 999999999999999999999\n", FileError),
+        ("a.off", b"OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 999999999999999999999\n", FileError),
+        (
+            "a.ply",
+            b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float x\nend_header\n1 1\n",
+            FileError,
+        ),
         ("a.gltf", b"{}", FileError),
         ("a.gltf", b"[]", FileError),
         ("a.glb", struct.pack("<4sIII4s2s", b"glTF", 1, 22, 2, b"JSON", b"{}"), FileError),

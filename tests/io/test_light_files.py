@@ -198,12 +198,24 @@ def test_a_list_in_another_folder_than_the_photographs(tmp_path: Path) -> None:
         (lines(lambda k: f"{numbers(k)} 0"), "positive intensities"),
         ("0 0 0\n" * COUNT, "length 0"),
         ("\n# nothing\n", "empty file"),
+        ("0\n", "no lights"),
+        ("x y z\n", "the first line alone"),
+        ("0 0 1\0\n", "binary data"),
     ],
 )
 def test_what_is_refused_and_why(tmp_path: Path, text: str, words: str) -> None:
     photographs(tmp_path)
     (tmp_path / "lights.txt").write_text(text)
     with pytest.raises(TorchOrenNayarError, match=words):
+        load_capture(tmp_path)
+
+
+@pytest.mark.parametrize(("text", "words"), [("", "expected names"), ("a\0.png\n", "binary data"), ("# x\n", "names")])
+def test_lists_of_no_photographs(tmp_path: Path, text: str, words: str) -> None:
+    photographs(tmp_path)
+    (tmp_path / "lights.txt").write_text(lines(numbers, head=""))
+    (tmp_path / "filenames.txt").write_text(text)
+    with pytest.raises(FileError, match=words):
         load_capture(tmp_path)
 
 

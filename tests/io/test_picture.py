@@ -163,3 +163,16 @@ def test_float_pictures_are_read_as_linear_light(tmp_path: Path) -> None:
         assert found.stated is not None
         assert found.stated.linear
         assert np.abs(to_unit(found.samples) - values).max() <= tolerance * 3
+
+
+def test_a_complaint_that_is_no_text_is_still_a_clean_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """OpenImageIO quotes bytes of damaged files."""
+    import OpenImageIO
+
+    def quote() -> str:
+        return b"\xe9".decode()
+
+    monkeypatch.setattr(OpenImageIO, "geterror", quote)
+    (tmp_path / "a.png").write_bytes(b"no picture")
+    with pytest.raises(FileError, match="damaged data"):
+        read_picture(tmp_path / "a.png")

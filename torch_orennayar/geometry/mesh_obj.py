@@ -13,6 +13,9 @@ import numpy as np
 
 from .mesh_polygons import MeshFormatError, Polygons
 
+MAX_INDEX = 2**62
+"""Larger numbers are no indices; NumPy holds up to 2**63."""
+
 
 def read_obj(data: bytes) -> Polygons:
     """The faces of an OBJ file: points, stated normals and smoothing groups; materials and textures are left out.
@@ -84,6 +87,8 @@ class _Found:
 
     def polygons(self) -> Polygons:
         """All of it."""
+        if max(self.corners, default=0) > MAX_INDEX or max(self.stated, default=0) > MAX_INDEX:
+            raise MeshFormatError("an index of more than 64 bits", f"corners from 1 to {len(self.points)}")
         stated, normals = np.array(self.stated, np.int64), None
         if stated.size and stated.max() >= len(self.normals):
             raise MeshFormatError(f"the normal {stated.max() + 1}", f"normals from 1 to {len(self.normals)}")

@@ -38,9 +38,10 @@ def read_off(data: bytes) -> Polygons:
             )
         points = np.array([[float(word) for word in row[:3]] for row in rows], np.float64).reshape(-1, 3)
         counts = np.array([int(row[0]) for row in faces], np.int64)
-        corners = [int(word) for row, count in zip(faces, counts, strict=True) for word in row[1 : count + 1]]
-    except (ValueError, IndexError) as error:
+        listed = [int(word) for row, count in zip(faces, counts, strict=True) for word in row[1 : count + 1]]
+        corners = np.array(listed, np.int64)
+    except (ValueError, IndexError, OverflowError) as error:
         raise MeshFormatError(f"{type(error).__name__}: {error}", "numbers, one point or face in a line") from error
     if (counts < 0).any() or len(corners) != counts.sum():
         raise MeshFormatError("a face with fewer corners than it states", "as many corners as a face states")
-    return Polygons(points, np.array(corners, np.int64), counts)
+    return Polygons(points, corners, counts)

@@ -103,6 +103,8 @@ def _header(data: bytes) -> tuple[list[_Element], bytes]:
                 *kinds, name = words[2:] if words[1] == "list" else words[1:]
                 types = [np.dtype(order + _TYPES[kind] if order else _WORD) for kind in kinds]
                 elements[-1].properties.append(_Property(name, types[-1], types[0] if words[1] == "list" else None))
+        if any(len({p.name for p in element.properties}) < len(element.properties) for element in elements):
+            raise ValueError("a property that occurs twice")
         rest = data[mark + len(b"end_header") :]
         rest = rest[2:] if rest.startswith(b"\r\n") else rest[1:]
         return elements, rest if order else np.array(rest.split(), _WORD).tobytes()

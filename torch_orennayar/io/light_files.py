@@ -109,6 +109,8 @@ def read_directions(file: Path) -> LightList:
                 got=str(len(rows)),
                 mend="correct the first line",
             )
+    if not rows:
+        raise FileError(str(file), expected="one line 'x y z' per image", got="no lights", mend="write them")
     if len(rows) == 3 and len({len(row.numbers) for row in rows}) == 1 and len(rows[0].numbers) > 3:
         across = torch.tensor([row.numbers for row in rows], dtype=torch.float64).T
         if _unit(across).all() and not any(row.name(len(row.numbers)) for row in rows):
@@ -182,6 +184,8 @@ def _split_columns(text: str) -> list[str]:
 
 def _read_columns(file: Path, columns: list[str], lines: Sequence[tuple[int, str]]) -> LightList:
     """A table whose first line named its columns."""
+    if not lines:
+        raise FileError(str(file), expected="a line per image", got="the first line alone", mend="write the lights")
     cells: dict[str, list[str]] = {column: [] for column in columns if column}
     for number, text in lines:
         row = _split_columns(text)

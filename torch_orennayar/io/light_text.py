@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,6 +18,8 @@ _FIELD_BETWEEN_COMMAS = re.compile(r"\"[^\"]*\"|[^\s;,]+")
 _NUMBER = re.compile(r"[-+]?(\d+([.,]\d*)?|[.,]\d+)([eE][-+]?\d+)?|[-+]?(nan|inf)", re.IGNORECASE)
 _COMMENT = re.compile(r"(\"[^\"]*\")|(?:^|\s)(?:#|//).*")
 """A quoted name, or a comment, which begins a line or follows a blank: file names contain these characters too."""
+_CONTROL = re.compile(r"[\0-\x08\x0e-\x1f]")
+"""Characters that no text holds."""
 
 
 class Row(NamedTuple):
@@ -60,20 +63,13 @@ def read_text(file: Path) -> str:
         data = file.read_bytes()
     except OSError as error:
         raise FileError(str(file), expected="a readable file", got=str(error), mend="check permissions") from error
-    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
-        encoding = "utf-16"
-    else:
-        try:
-            return data.decode("utf-8-sig")
-        except UnicodeDecodeError:
-            encoding = "cp1252"
-    try:
-        text = data.decode(encoding)
-    except UnicodeDecodeError:
-        text = "\0"
-    if re.search(r"[\0-\x08\x0e-\x1f]", text):
-        raise FileError(str(file), expected="a text file", got="binary data", mend="save it as UTF-8")
-    return text
+    marked = data.startswith((b"\xff\xfe", b"\xfe\xff"))
+    for encoding in ("utf-16",) if marked else ("utf-8-sig", "cp1252"):
+        with suppress(UnicodeDecodeError):
+            text = data.decode(encoding)
+            if not _CONTROL.search(text):
+                return text
+    raise FileError(str(file), expected="a text file", got="binary data", mend="save it as UTF-8")
 
 
 def read_lines(file: Path) -> list[tuple[int, str]]:

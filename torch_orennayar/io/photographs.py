@@ -46,7 +46,10 @@ def list_photographs(folder: Path, others: Sequence[Path]) -> list[Path]:
     """
     listing = folder / "filenames.txt"
     if listing.is_file():
-        return [path_inside(folder, clean_name(line)) for _, line in read_lines(listing)]
+        listed = [path_inside(folder, clean_name(line)) for _, line in read_lines(listing)]
+        if not listed:
+            raise FileError(str(listing), expected="names of photographs", got="none", mend="fill it, or remove it")
+        return listed
 
     def natural(file: Path) -> list[tuple[int, str]]:
         return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", file.name)]

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -113,7 +115,7 @@ def _decode(file: Path, name: str) -> tuple[npt.NDArray[np.generic], int]:
     settings["oiio:UnassociatedAlpha"] = 1
     source = OpenImageIO.ImageInput.open(name, settings)
     if source is None:
-        raise _damaged(file, OpenImageIO.geterror(), name)
+        raise _damaged(file, OpenImageIO.geterror, name)
     try:
         spec = source.spec()
         if spec.width * spec.height * max(spec.depth, 1) > MAX_PIXELS:
@@ -127,14 +129,17 @@ def _decode(file: Path, name: str) -> tuple[npt.NDArray[np.generic], int]:
             raise FileError(str(file), expected=expected, got=got, mend=mend)
         samples = source.read_image(kind)
         if samples is None or source.has_error:
-            raise _damaged(file, source.geterror(), name)
+            raise _damaged(file, source.geterror, name)
         orientation = int(spec.get_int_attribute("Orientation", 1))
         return np.atleast_3d(samples), orientation if orientation in ROTATIONS else 1
     finally:
         source.close()
 
 
-def _damaged(file: Path, said: str, name: str) -> FileError:
+def _damaged(file: Path, say: Callable[[], str], name: str) -> FileError:
+    said = ""
+    with suppress(UnicodeDecodeError):  # OpenImageIO quotes bytes of the file
+        said = say()
     reason = " ".join(said.replace(name, file.name).split())[:200] or "damaged data"
     return FileError(str(file), expected="a whole image", got=reason.lower(), mend="copy or export it again")
 
