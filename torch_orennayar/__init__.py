@@ -26,6 +26,7 @@ if TYPE_CHECKING:  # what type checkers and editors read; at run time `__getattr
     from .geometry.camera import Camera
     from .geometry.depth import depth_to_normals
     from .geometry.frames import swap_opencv_frame
+    from .geometry.height_field import silhouette_normals
     from .geometry.integrate import integrate_normals
     from .geometry.mesh import normalise_mesh, vertex_normals
     from .geometry.mesh_files import Mesh, load_mesh, orient_faces, save_mesh
@@ -44,11 +45,11 @@ if TYPE_CHECKING:  # what type checkers and editors read; at run time `__getattr
     from .shading.functional import brdf, directional_albedo, oren_nayar
     from .shading.layer import OrenNayar
     from .shading.point_light import point_light
-    from .shape.height_field import silhouette_normals
     from .shape.solver import shape_from_shading
     from .stereo.near_light import near_light_stereo
     from .stereo.set_network import SetNetwork, load_network, make_tokens, save_network
     from .stereo.solver import photometric_stereo
+    from .stereo.unknown_lights import FoundLights, find_lights
     from .synthetic.captures import SyntheticCaptures
     from .synthetic.collate import SyntheticBatch, collate_captures
     from .synthetic.images import SyntheticImages
@@ -69,6 +70,7 @@ _HOMES = {
     "geometry.camera": ("Camera",),
     "geometry.depth": ("depth_to_normals",),
     "geometry.frames": ("swap_opencv_frame",),
+    "geometry.height_field": ("silhouette_normals",),
     "geometry.integrate": ("integrate_normals",),
     "geometry.mesh": (
         "normalise_mesh",
@@ -134,7 +136,6 @@ _HOMES = {
     ),
     "shading.layer": ("OrenNayar",),
     "shading.point_light": ("point_light",),
-    "shape.height_field": ("silhouette_normals",),
     "shape.solver": ("shape_from_shading",),
     "stereo.near_light": ("near_light_stereo",),
     "stereo.set_network": (
@@ -144,6 +145,10 @@ _HOMES = {
         "save_network",
     ),
     "stereo.solver": ("photometric_stereo",),
+    "stereo.unknown_lights": (
+        "FoundLights",
+        "find_lights",
+    ),
     "synthetic.captures": ("SyntheticCaptures",),
     "synthetic.collate": (
         "SyntheticBatch",
@@ -168,6 +173,7 @@ __all__ = [
     "ExportError",
     "FileError",
     "Finding",
+    "FoundLights",
     "Ingredients",
     "Mesh",
     "Model",
@@ -197,6 +203,7 @@ __all__ = [
     "encode_normals",
     "export_onnx",
     "face_neighbours",
+    "find_lights",
     "integrate_normals",
     "linear_to_srgb",
     "load_capture",

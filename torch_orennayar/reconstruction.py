@@ -48,6 +48,7 @@ class Reconstruction:
         depth: (1, H, W); None from photometric stereo under distant lights, where `integrate_normals` gives it.
         ambient: (1, H, W) light from all around as a share of the light, given or estimated, 0 outside the mask;
             `shade` leaves it out. None from photometric stereo.
+        lights: (K, 3) unit directions that photometric stereo found where none were given; else None.
     """
 
     normal: Tensor
@@ -64,6 +65,7 @@ class Reconstruction:
     roughness_error: float = 0.0
     depth: Tensor | None = None
     ambient: Tensor | None = None
+    lights: Tensor | None = None
 
     def shade(self, lights: Tensor) -> Tensor:
         """Relight the result: what it shows under other distant lights, seen from the front.
@@ -154,6 +156,7 @@ def stack(found: Sequence[Reconstruction]) -> BatchReconstruction:
                 row[: len(r.specular)] = r.specular
     depths = [r.depth for r in found if r.depth is not None]
     ambients = [r.ambient for r in found if r.ambient is not None]
+    lights = [r.lights for r in found if r.lights is not None]
     return BatchReconstruction(
         normal=torch.stack([r.normal for r in found]),
         albedo=torch.stack([r.albedo for r in found]),
@@ -173,4 +176,5 @@ def stack(found: Sequence[Reconstruction]) -> BatchReconstruction:
         roughness_error=tuple(r.roughness_error for r in found),
         depth=torch.stack(depths) if len(depths) == len(found) else None,
         ambient=torch.stack(ambients) if len(ambients) == len(found) else None,
+        lights=torch.stack(lights) if len(lights) == len(found) else None,
     )

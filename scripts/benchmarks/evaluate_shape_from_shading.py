@@ -36,9 +36,9 @@ from tests.support import height_fields
 from tests.support.height_fields import light_at, photograph
 from torch_orennayar import angular_error, depth_to_normals, load_capture, photometric_stereo, shape_from_shading
 from torch_orennayar.core.progress import track
+from torch_orennayar.geometry.height_field import silhouette_normals
 from torch_orennayar.io.images import read_image
 from torch_orennayar.shape import surface_fit
-from torch_orennayar.shape.height_field import silhouette_normals
 
 METHODS = (
     *("plane", "inflated", "lambert alone", "classic alone", "vcavity alone", "lambert", "classic", "vcavity"),

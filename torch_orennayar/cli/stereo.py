@@ -15,7 +15,7 @@ from .options import EncodingOption, LightFile, MaskFile, Output, Seed, StereoMo
 
 
 def stereo(
-    capture: Annotated[Path, typer.Argument(help="Folder of images with a light file, DiLiGenT folder, or .lp file.")],
+    capture: Annotated[Path, typer.Argument(help="Folder of images, with or without a light file, or .lp file.")],
     output: Output = Path("out"),
     model: Annotated[StereoModel, typer.Option(help="Reflectance model, or network; auto chooses.")] = "auto",
     lights: LightFile = None,
@@ -29,8 +29,9 @@ def stereo(
     least_squares: Annotated[bool, typer.Option("--least-squares", help="Plain Lambertian least squares.")] = False,
     seed: Seed = 0,
 ) -> None:
-    """Photographs under known lights in; normals, albedo, roughness, depth and a mesh out."""
+    """Photographs under several lights in; normals, albedo, roughness, depth and a mesh out."""
     from ..io.capture import load_capture
+    from ..io.light_files import DIRECTIONS_FILE, write_lights
     from ..io.results import RECONSTRUCTION_FILES, write_reconstruction
     from ..stereo.solver import photometric_stereo
 
@@ -54,6 +55,8 @@ def stereo(
     seconds = time.perf_counter() - ready
     loaded = replace(loaded, images=loaded.images[:0].clone())  # frees the memory of large captures for drawing
     numbers = write_reconstruction(output, found, loaded, title=capture.resolve().name, seconds=seconds).numbers
+    if "lights-found" in {note.code for note in loaded.notes}:
+        typer.echo(f"wrote {write_lights(output, DIRECTIONS_FILE, loaded.lights)} for the next time")
     for sentence in numbers["report"]:
         typer.echo(sentence)
     error = numbers["normal_error_degrees"]

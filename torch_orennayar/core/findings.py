@@ -24,6 +24,9 @@ CODES: dict[str, str] = {
     "faces-twice": "number of faces that lay twice between the same vertices and were dropped",
     "faces-turned": "number of faces that were wound against their neighbours and were turned over",
     "one-sided": "the faces cannot be wound alike, as on a Möbius strip",
+    # lights that were not given
+    "lights-found": "light directions were found from the photographs; value: their number",
+    "lights-unequal": "the lights found differ in brightness by that many percent and are not to be trusted",
     # choice of a model
     "model-chosen": "which model or kind of material was chosen, and why",
     # photometric stereo

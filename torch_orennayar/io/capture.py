@@ -8,19 +8,19 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
 from ..core.defaults import independent_of_defaults
-from ..core.errors import FileError, MissingPackageError, RangeError
+from ..core.errors import CaptureError, FileError, RangeError
 from ..core.findings import Finding
-from ..core.optional import require
 from ..stereo.calibrate import find_ball, find_circle, light_directions, own_intensities
+from ..stereo.unknown_lights import find_lights
 from .images import write_image
 from .light_files import (
     DIRECTIONS_FILE,
     INTENSITIES_FILE,
+    LIGHT_FILES,
     LightList,
     find_intensity_file,
     find_light_file,
@@ -30,9 +30,7 @@ from .light_files import (
 from .listed_names import match_names
 from .masks import find_mask, read_mask
 from .photographs import find_ambient, list_photographs, read_photographs
-
-TRUTH_FILES = ("Normal_gt.mat", "normal_gt.npy")
-"""Names of the file of true normals, the first that exists is read; the first is DiLiGenT's (Shi et al. 2016)."""
+from .truth import read_truth
 
 
 @dataclass(frozen=True)
@@ -43,7 +41,7 @@ class Capture:
         images: (K, 3, H, W) float32 (float16 for captures of more than half a billion samples), linear, each
             divided by its light's intensity; 1 is a white Lambertian surface facing the light where intensities
             are calibrated so.
-        lights: (K, 3) unit directions to the light, camera frame (x right, y up, z to the viewer).
+        lights: (K, 3) unit directions to the light, camera frame (x right, y up, z to the viewer), read or found.
         intensities: (K, 3) RGB irradiance that the images were divided by.
         mask: (1, H, W) bool, the object.
         normal: (3, H, W) true normals, or None.
@@ -98,6 +96,8 @@ def load_capture(
     what is brighter than half the maximum; default: all pixels); ``ambient.*``, a photograph with all lights off, which
     is subtracted; ``Normal_gt.mat`` or ``normal_gt.npy``, true normals (H, W, 3).
 
+    Without a light file the lights are found from the photographs (`find_lights`), which a note says.
+
     Args:
         path: the folder, or an ``.lp`` file beside its images.
         lights: a light file outside the folder.
@@ -147,21 +147,26 @@ def load_capture(
         files = list_photographs(folder, others)
         directions, note = _ball_directions(Path(chrome), len(files), encoding)
         listed, notes = LightList([], directions), (note,)
-    else:
-        light_file = Path(lights) if lights is not None else find_light_file(source)
+    elif (light_file := Path(lights) if lights is not None else find_light_file(source)) is not None:
         files, listed = _pair_with_lights(folder, light_file, others)
+    else:
+        files = list_photographs(folder, others)
+        listed = LightList([], torch.empty(0, 3))
     intensities, no_intensities = read_intensities(folder, len(files))
     if listed.intensities is not None:
         intensities, no_intensities = listed.intensities.expand(-1, 3).contiguous(), ()
     images, valid, decisions = read_photographs(files, encoding, intensities, ambient_file)
     size = (images.shape[2], images.shape[3])
     inside, about_mask = read_mask(mask_file, size)
+    if not len(listed.directions):
+        listed, found = _find_lights(folder, images, inside)
+        notes = (*notes, *found)
     return Capture(
         images=images,
         lights=listed.directions,
         intensities=intensities,
         mask=inside,
-        normal=_read_truth(folder, size),
+        normal=read_truth(folder, size),
         names=tuple(f.name for f in files),
         notes=(*notes, *no_intensities, *decisions, *about_mask),
         valid=valid,
@@ -279,6 +284,24 @@ def _ball_directions(folder: Path, count: int, encoding: str) -> tuple[Tensor, F
     return light_directions(images, ball), Finding(text, "lights-from-ball", ball.radius)
 
 
+def _find_lights(folder: Path, images: Tensor, inside: Tensor) -> tuple[LightList, tuple[Finding, ...]]:
+    """Lights of a folder without a light file, from its photographs.
+
+    Raises:
+        FileError: the photographs do not show where their lights are.
+    """
+    try:
+        found = find_lights(images.float(), inside)
+    except CaptureError as error:
+        raise FileError(
+            str(folder),
+            expected=f"a light file ({', '.join(LIGHT_FILES)} or .lp), or photographs that show their lights",
+            got=f"no such file, and {error.got}",
+            mend=f"write one line 'x y z' per image, or pass lights= (--lights); or {error.mend}",
+        ) from error
+    return LightList([], found.directions), found.findings
+
+
 def _pair_with_lights(folder: Path, light_file: Path, others: tuple[Path, ...]) -> tuple[list[Path], LightList]:
     """Image files and their lights, matched by name where the light file has names."""
     listed = read_directions(light_file)
@@ -303,31 +326,3 @@ def _pair_with_lights(folder: Path, light_file: Path, others: tuple[Path, ...]) 
             else "remove the lines that have no image",
         )
     return files, listed
-
-
-def _read_truth(folder: Path, size: tuple[int, int]) -> Tensor | None:
-    file = next((folder / name for name in TRUTH_FILES if (folder / name).is_file()), None)
-    if file is None:
-        return None
-    try:
-        array = _load_truth(file)
-    except MissingPackageError:
-        raise
-    except Exception as error:  # scipy and numpy raise many kinds for damaged files
-        raise FileError(
-            str(file), expected="an array of true normals", got=str(error), mend="replace or remove the file"
-        ) from error
-    if array.shape != (*size, 3):
-        raise FileError(
-            str(file), expected=f"shape {(*size, 3)}", got=str(array.shape), mend="crop it as the images are"
-        )
-    return torch.from_numpy(np.ascontiguousarray(array, dtype=np.float32)).permute(2, 0, 1)
-
-
-def _load_truth(file: Path) -> npt.NDArray[np.float64]:
-    if file.suffix == ".npy":
-        return np.asarray(np.load(file, allow_pickle=False))
-    require("scipy")
-    from scipy.io import loadmat
-
-    return np.asarray(loadmat(file, variable_names=["Normal_gt"])["Normal_gt"])

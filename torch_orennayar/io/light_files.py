@@ -55,25 +55,18 @@ class LightList(NamedTuple):
     intensities: Tensor | None = None
 
 
-def find_light_file(source: Path) -> Path:
+def find_light_file(source: Path) -> Path | None:
     """The light file of a folder: one of `LIGHT_FILES`, else its only ``.lp`` file; ``source`` itself if it is a file.
 
     Raises:
-        FileError: none, or several ``.lp`` files.
+        FileError: several ``.lp`` files.
     """
     if source.is_file():
         return source
     found = [source / name for name in LIGHT_FILES if (source / name).is_file()] or sorted(source.glob("*.lp"))
     if len(found) > 1 and found[0].suffix == ".lp":
         raise FileError(str(source), expected="one .lp file", got=str(len(found)), mend="give the path of one of them")
-    if not found:
-        raise FileError(
-            str(source),
-            expected=f"{', '.join(LIGHT_FILES)} or an .lp file",
-            got="none of them",
-            mend="write one line 'x y z' per image, or pass lights= (--lights)",
-        )
-    return found[0]
+    return found[0] if found else None
 
 
 def find_intensity_file(folder: Path) -> Path | None:

@@ -8,10 +8,10 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from ..geometry.height_field import normals, to_centers
 from ..reflectance.models import get_model
 from ..shading import tiled
 from ..shading.inputs import ShadingInputs
-from .height_field import normals, to_centers
 from .scene import PictureScene
 
 # All weights and thresholds below were set by hand; `scripts/benchmarks/evaluate_shape_from_shading.py` measures what

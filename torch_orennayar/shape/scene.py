@@ -12,7 +12,7 @@ from torch import Tensor
 from ..core.checks import check_mask, check_range, check_unit
 from ..core.errors import CaptureError, RangeError, ShapeError
 from ..geometry.camera import Camera
-from .height_field import corner_rays, depth_to_height, pixel_size, resize
+from ..geometry.height_field import corner_rays, depth_to_height, pixel_size, resize
 
 START_ROUGHNESS = math.radians(25)
 """Radians; where the search for an unknown roughness starts. Set by hand, in the middle of what materials have."""

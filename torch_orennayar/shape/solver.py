@@ -15,10 +15,10 @@ from ..core.errors import RangeError
 from ..core.findings import Finding
 from ..core.warn import warn
 from ..geometry.camera import Camera
+from ..geometry.height_field import depth_to_height, height_to_depth, inflate, normals, to_centers, to_corners
 from ..reconstruction import Reconstruction, confidence_from_error, stack
 from ..reflectance.model_choice import simplest_model
 from ..reflectance.models import get_model
-from .height_field import depth_to_height, height_to_depth, inflate, normals, to_centers, to_corners
 from .objective import MAX_ROUGHNESS, FitParameters, FitSettings, Reflectance, lit_pixels, shade
 from .scene import MIN_SHARE, Picture, PictureScene, Window, build_scene, working_dtype
 from .surface_fit import coarse_to_fine, fit

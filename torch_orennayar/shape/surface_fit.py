@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from ..core.progress import track
-from .height_field import normals, resize
+from ..geometry.height_field import normals, resize
 from .objective import FitParameters, FitSettings, Objective
 from .scene import PictureScene
 

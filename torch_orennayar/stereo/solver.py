@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import torch
 from torch import Tensor
 
-from ..core.checks import check_floating
+from ..core.checks import check_floating, check_mask
 from ..core.defaults import independent_of_defaults
 from ..core.errors import CaptureError, ShapeError
 from ..core.findings import Finding
@@ -22,6 +24,7 @@ from .pixel_sample import SAMPLE_PIXELS, PixelSample
 from .robust_stats import Used
 from .row_bands import solve_bands
 from .solved_maps import SolvedMaps
+from .unknown_lights import find_lights
 
 WHITE = 1.05
 """Albedo above which a pixel is reported as brighter than white; the excess over 1 allows for noise. Set by hand."""
@@ -31,7 +34,7 @@ WHITE = 1.05
 @independent_of_defaults
 def photometric_stereo(
     images: Tensor,
-    lights: Tensor,
+    lights: Tensor | None,
     mask: Tensor | None = None,
     *,
     model: str = "auto",
@@ -63,7 +66,8 @@ def photometric_stereo(
         images: (K, C, H, W) or (B, K, C, H, W) linear light, intensities divided out; normals come from
             the mean of the channels.
         lights: (K, 3) or (B, K, 3) unit directions to the lights, camera frame; of near lights maps of each
-            pixel's directions, (K, 3, H, W) or (B, K, 3, H, W), as `near_light_stereo` makes them.
+            pixel's directions, (K, 3, H, W) or (B, K, 3, H, W), as `near_light_stereo` makes them. None where they are
+            not known: they are found from the images, by `find_lights`, which needs equally bright lights and a mask.
         mask: (1, H, W) or (B, 1, H, W) bool; default all pixels. Outside it images may hold any values.
         model: ``"auto"``, a name in ``MODELS``, which is then used without lobes, or ``"network"``: normals by a small
             network trained on synthetic pixels (12 lights or more), with Lambert's albedo, solved in float32.
@@ -96,10 +100,18 @@ def photometric_stereo(
         >>> [round(v, 3) for v in found.normal.flatten().tolist()], round(found.albedo.item(), 3)
         ([0.0, 0.6, 0.8], 0.5)
     """
-    check_floating(images=images, lights=lights)
+    check_floating(images=images, lights=images if lights is None else lights)
     _check_model(model, robust)
     if images.ndim == 5:
         return _solve_batch(images, lights, mask, valid, model, robust, seed)
+    if lights is None:
+        known = check_mask(mask, images)
+        found_lights = find_lights(images, known)
+        solved = photometric_stereo(
+            images, found_lights.directions.to(images), known, model=model, robust=robust, valid=valid, seed=seed
+        )
+        report = (*found_lights.findings, *solved.report)
+        return replace(solved, lights=found_lights.directions.to(images.device), report=report)
     inside = check_shapes(images, lights, mask)
     images, clipped = leave_out(images, find_valid(images, inside, valid), inside)
     dark = find_dark_pixels(images, inside)
@@ -194,7 +206,7 @@ def _doubtful_pixels(dark: Tensor, maps: SolvedMaps, lights: int, model: str) ->
 
 def _solve_batch(
     images: Tensor,
-    lights: Tensor,
+    lights: Tensor | None,
     mask: Tensor | None,
     valid: Tensor | None,
     model: str,
@@ -211,7 +223,7 @@ def _solve_batch(
     found = [
         photometric_stereo(
             images[b],
-            lights[b],
+            None if lights is None else lights[b],
             None if mask is None else mask[b],
             model=model,
             robust=robust,

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from ..core.checks import check_mask
 from ..core.optional import require
-from ..geometry.camera import Camera
+from .camera import Camera
 
 DIRECT_SOLVE_PIXELS = 5000
 """Largest number of unknowns of `inflate` that a sparse direct solver gets; more go to algebraic multigrid. Set by

@@ -1,0 +1,238 @@
+"""Directions of distant lights that nobody measured, from the photographs and the object's outline.
+
+The inflated outline gives the first normals; lights and normals are then found from each other by robust regression,
+which leaves a linear ambiguity: any invertible 3 x 3 matrix between them. That all lights are equally bright fixes it
+up to a rotation (Hayakawa 1994), and that the normals are those of a surface fixes the rotation.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from ..core.checks import check_floating, check_mask
+from ..core.defaults import independent_of_defaults
+from ..core.errors import CaptureError, ShapeError
+from ..core.findings import Finding
+from ..core.progress import track
+from ..geometry.height_field import silhouette_normals
+from .robust_stats import BRIGHT, MAD_TO_SIGMA, MIDDLE_RANKS, NOISE_FLOOR, SHADOW, between_ranks, geman_mcclure
+from .surface_rotation import SmoothNormals, rotation_to_surface
+
+PIXELS = 30_000
+"""Pixels of the reduced photographs, about, that the lights are found from; set by hand, for seconds."""
+MIN_LIGHTS = 6
+"""Fewest photographs: equal brightness gives one equation for each, and the matrix that it fixes has six unknowns."""
+ROUNDS, LATER_ROUNDS = 6, 4
+"""Alternations between lights and normals before the ambiguity is resolved, and with it. Set by hand."""
+REWEIGHTINGS = 5
+"""Of each robust regression; set by hand."""
+BRIGHTEST_LEFT_OUT = 0.85
+"""Quantile of a photograph's pixels above which they are highlights or spoiled by them; set by hand."""
+LEAST_FACING = 0.1
+"""Cosine to the view by which the brightness of the outline's normals is divided at least; set by hand."""
+BORDER_SHARE = 0.25
+"""Share of the outline that may lie on the picture's border, where it is none of the object's; set by hand."""
+UNEQUAL = 0.1
+"""Standard deviation of the logarithm of the lights' brightness from which they are not equally bright; set by hand."""
+MAX_SPREAD = 100.0
+"""Condition number of the six equations of equal brightness above which the lights do not fix them; set by hand."""
+
+
+class FoundLights(NamedTuple):
+    """What the photographs say of their lights.
+
+    Attributes:
+        directions: (K, 3) float32 unit, camera frame.
+        brightness: (K,) float32, of mean 1, as the fit finds it: about 1 where the lights are equally bright.
+        findings: what was assumed and what stays open.
+    """
+
+    directions: Tensor
+    brightness: Tensor
+    findings: tuple[Finding, ...]
+
+
+@torch.no_grad()
+@independent_of_defaults
+def find_lights(images: Tensor, mask: Tensor) -> FoundLights:
+    """Find the directions of distant, equally bright lights from the photographs of an object with a visible outline.
+
+    The object is taken as convex on the whole: a hollow one gives lights from the other side. Not differentiable.
+
+    Args:
+        images: (K, C, H, W) linear light, K at least 6.
+        mask: (1, H, W) bool, the object; its edge is taken as the object's outline.
+
+    Returns:
+        The `FoundLights`.
+
+    Raises:
+        ShapeError: other shapes or types.
+        CaptureError: too few photographs, an outline that is cut by the picture's border, lights that do not determine
+            each other.
+
+    Source:
+        Hayakawa 1994, "Photometric stereo under a light source with arbitrary motion"; Yuille & Snow 1997, "Shape and
+        albedo from multiple images using integrability".
+
+    Example:
+        >>> import torch, torch_orennayar as ton
+        >>> from torch_orennayar.geometry.primitives import Ball, spiral_lights
+        >>> normal, mask = Ball(31.5, 31.5, 30.0).normals((64, 64))
+        >>> lights = spiral_lights(12)
+        >>> images = ton.OrenNayar("lambert")(normal[None], lights[None], albedo=0.6)[0]
+        >>> found = ton.find_lights(images, mask)
+        >>> (found.directions * lights).sum(1).min().item() > 0.99
+        True
+    """
+    check_floating(images=images)
+    if images.ndim != 4:
+        raise ShapeError("images", expected="(K, C, H, W)", got=str(tuple(images.shape)), mend="stack the images")
+    inside = check_mask(mask, images)
+    _check_outline(inside[0], len(images))
+    grey, small = _reduced(images, inside)
+    outline = silhouette_normals(small)[:, small[0]].T.to(grey)
+    scaled = outline * (grey.mean(1, keepdim=True) / outline[:, 2:].clamp_min(LEAST_FACING))
+    lights = _regress_lights(scaled, grey)
+    for _ in track(range(ROUNDS), "finding lights", ROUNDS):
+        scaled = _regress_normals(lights, grey)
+        lights = _regress_lights(scaled, grey)
+    spread = lights.new_zeros(())
+    for _ in track(range(LATER_ROUNDS), "turning lights", LATER_ROUNDS):
+        root = _equal_brightness(lights)
+        lights, scaled = lights @ root, scaled @ torch.linalg.inv(root)
+        turn = rotation_to_surface(SmoothNormals.of(F.normalize(scaled, dim=1), small[0]))
+        lights = lights @ turn
+        brightness = lights.norm(dim=1)
+        spread = MAD_TO_SIGMA * (brightness.log() - brightness.log().median()).abs().median()
+        scaled = _regress_normals(F.normalize(lights, dim=1), grey)
+        lights = _regress_lights(scaled, grey)
+    brightness = lights.norm(dim=1)
+    findings = _describe(len(lights), float(spread))
+    directions = F.normalize(lights, dim=1)
+    return FoundLights(directions.float(), (brightness / brightness.mean()).float(), tuple(findings))
+
+
+def _check_outline(inside: Tensor, count: int) -> None:
+    """Refuse what does not show where its lights are."""
+    if count < MIN_LIGHTS:
+        raise CaptureError(
+            "images",
+            expected=f"at least {MIN_LIGHTS} photographs where the lights are not known",
+            got=str(count),
+            mend="photograph under more lights, or give the lights",
+        )
+    filled = F.max_pool2d(-inside[None, None].double(), 3, 1, 1)[0, 0]  # beyond the border nothing counts
+    rim = inside & (filled > -1)
+    border = torch.zeros_like(inside)
+    border[0] = border[-1] = border[:, 0] = border[:, -1] = True
+    cut = int((inside & border).sum())
+    if cut > BORDER_SHARE * (cut + int((rim & ~border).sum())):
+        raise CaptureError(
+            "mask",
+            expected="an object whose outline is seen, where the lights are not known",
+            got="one that the picture's border cuts, or no mask",
+            mend="give a mask (--mask), photograph the whole object, or give the lights (--lights, --chrome)",
+        )
+
+
+def _reduced(images: Tensor, inside: Tensor) -> tuple[Tensor, Tensor]:
+    """Grey observations (P, K) float64 of about `PIXELS` pixels, over their mean, and their mask (1, h, w)."""
+    factor = max(1, round((int(inside.sum()) / PIXELS) ** 0.5))
+    share = F.avg_pool2d(inside.double()[None], factor)[0]
+    small = share > 0.5
+    seen = []
+    for image in images:
+        grey = F.avg_pool2d((image.double().mean(0, keepdim=True) * inside)[None], factor)[0]
+        seen.append((grey / share.clamp_min(1e-9))[small])
+    grey = torch.stack(seen, 1).cpu()
+    return grey / grey.mean().clamp_min(1e-12), small.cpu()
+
+
+def _regress_lights(scaled: Tensor, grey: Tensor) -> Tensor:
+    """Lights (K, 3) times their brightness, from albedo times normals (P, 3), without shadows and highlights."""
+    count = grey.shape[0]
+    ordered = grey.sort(0).values
+    bright = ordered[min(int(BRIGHTEST_LEFT_OUT * count), count - 1)]
+    level = grey.sort(1).values[:, min(int(BRIGHT * grey.shape[1]), grey.shape[1] - 1), None]
+    used = ((grey <= bright) & (grey > SHADOW * level)).to(grey)
+    outer, weight = (scaled[:, :, None] * scaled[:, None]).flatten(1), used
+    lights = grey.new_zeros(grey.shape[1], 3)
+    for _ in range(REWEIGHTINGS):
+        matrix = (weight.T @ outer).view(-1, 3, 3) + 1e-9 * torch.eye(3, dtype=grey.dtype)
+        lights = torch.linalg.solve(matrix, (weight * grey).T @ scaled)
+        residual = grey - scaled @ lights.T
+        noise = MAD_TO_SIGMA * torch.where(used > 0, residual.abs(), torch.nan).nanmedian(0).values
+        weight = geman_mcclure(used, residual, noise.nan_to_num(1.0).clamp_min(NOISE_FLOOR))
+    return lights
+
+
+def _regress_normals(lights: Tensor, grey: Tensor) -> Tensor:
+    """Albedo times normals (P, 3) from lights (K, 3) times their brightness."""
+    used = between_ranks(grey, *MIDDLE_RANKS)
+    outer, weight = (lights[:, :, None] * lights[:, None]).flatten(1), used
+    scaled = grey.new_zeros(len(grey), 3)
+    for _ in range(REWEIGHTINGS):
+        matrix = (weight @ outer).view(-1, 3, 3)
+        ridge = 1e-6 * matrix.diagonal(dim1=1, dim2=2).sum(1).clamp_min(1e-12)
+        matrix = matrix + ridge[:, None, None] * torch.eye(3, dtype=grey.dtype)
+        scaled = torch.linalg.solve(matrix, (weight * grey) @ lights)
+        residual = grey - scaled @ lights.T
+        noise = MAD_TO_SIGMA * torch.where(used > 0, residual.abs(), torch.nan).nanmedian(1, keepdim=True).values
+        floor = NOISE_FLOOR * grey.abs().mean(1, keepdim=True).clamp_min(1e-12)
+        weight = geman_mcclure(used, residual, torch.maximum(noise.nan_to_num(1.0), floor))
+    return scaled
+
+
+def _equal_brightness(lights: Tensor) -> Tensor:
+    """The symmetric matrix (3, 3) that makes lights (K, 3) equally bright, by reweighted least squares.
+
+    Raises:
+        CaptureError: they do not determine it.
+    """
+    equations = _squares(lights)
+    weight = torch.ones_like(lights[:, :1])
+    solution = equations.new_zeros(6)
+    for _ in range(2 * REWEIGHTINGS):
+        solution = torch.linalg.lstsq(equations * weight, weight).solution[:, 0]
+        residual = (equations @ solution - 1).abs()[:, None]
+        weight = 1 / (1 + (residual / (2 * MAD_TO_SIGMA * residual.median()).clamp_min(1e-6)) ** 2)
+    xx, yy, zz, xy, xz, yz = solution
+    matrix = torch.stack((torch.stack((xx, xy, xz)), torch.stack((xy, yy, yz)), torch.stack((xz, yz, zz))))
+    values, vectors = torch.linalg.eigh(matrix)
+    root: Tensor = vectors @ values.clamp_min(0).sqrt().diag() @ vectors.T
+    singular = torch.linalg.svdvals(_squares(lights @ root))
+    if bool(values[0] <= 0) or bool(singular[-1] * MAX_SPREAD < singular[0]):
+        raise CaptureError(
+            "images",
+            expected="lights of equal brightness from all around, where they are not known",
+            got="lights that do not fit together: of different brightness, on one ring or on one side",
+            mend="give the lights (--lights, --chrome)",
+        )
+    return root
+
+
+def _squares(lights: Tensor) -> Tensor:
+    """The six products of coordinates (K, 6) whose weighted sum is the squared brightness."""
+    x, y, z = lights.unbind(1)
+    return torch.stack((x * x, y * y, z * z, 2 * x * y, 2 * x * z, 2 * y * z), 1)
+
+
+def _describe(count: int, spread: float) -> list[Finding]:
+    """What was assumed, and what speaks against it."""
+    text = (
+        f"no lights were given: {count} directions were found from the photographs, for lights far away and equally "
+        "bright and an object that is convex on the whole; a hollow one would need the opposite directions."
+    )
+    findings = [Finding(text, "lights-found", count)]
+    if spread > UNEQUAL:
+        text = (
+            f"the lights found differ in brightness by {100 * spread:.0f} %: they are not equally bright, and their "
+            "directions are not to be trusted; give light_intensities.txt or the lights."
+        )
+        findings.append(Finding(text, "lights-unequal", 100 * spread))
+    return findings
