@@ -42,6 +42,7 @@ def test_lights_of_a_lambertian_ball(ball: tuple[Tensor, Tensor], count: int) ->
     assert degrees(found.directions, lights) < 1.5
     assert found.brightness.mean().item() == pytest.approx(1)
     assert [f.code for f in found.findings] == ["lights-found"]
+    assert found.uncertainty < 1.5
     solved = photometric_stereo(images, None, mask, model="lambert")
     assert solved.lights is not None
     assert torch.equal(solved.lights, found.directions)
@@ -66,10 +67,21 @@ def test_lights_of_rough_objects_with_shadows(meshes: dict[str, tuple[Tensor, Te
 def test_lights_of_real_objects(data: Path, name: str, bar: float) -> None:
     """Measured 1.8, 2.4 and 5.2 degrees; with unequal lights the doubt is said."""
     capture = load_capture(data / "diligent" / f"{name}PNG")
-    assert degrees(find_lights(capture.images, capture.mask).directions, capture.lights) < bar
+    found = find_lights(capture.images, capture.mask)
+    assert degrees(found.directions, capture.lights) < bar
+    assert found.uncertainty < bar
     if name == "ball":
         raw = capture.images * capture.intensities[:, :, None, None]
-        assert "lights-unequal" in {f.code for f in find_lights(raw, capture.mask).findings}
+        with pytest.warns(UserWarning, match="not equally bright"):
+            assert "lights-unequal" in {f.code for f in find_lights(raw, capture.mask).findings}
+
+
+@pytest.mark.slow
+def test_lights_that_halves_of_an_object_do_not_agree_on_are_doubted(data: Path) -> None:
+    """A plaster frog whose lights are 12 degrees off those that its mirror ball shows."""
+    with pytest.warns(UserWarning, match="mirror ball"):
+        capture = load_capture(data / "captures" / "plaster_frog" / "photographs", encoding="linear")
+    assert "lights-uncertain" in {note.code for note in capture.notes}
 
 
 def test_what_does_not_show_its_lights_is_refused(ball: tuple[Tensor, Tensor]) -> None:

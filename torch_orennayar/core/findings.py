@@ -26,6 +26,7 @@ CODES: dict[str, str] = {
     "one-sided": "the faces cannot be wound alike, as on a Möbius strip",
     # lights that were not given
     "lights-found": "light directions were found from the photographs; value: their number",
+    "lights-uncertain": "halves of the object show lights that differ by that many degrees, or show none",
     "lights-unequal": "the lights found differ in brightness by that many percent and are not to be trusted",
     # choice of a model
     "model-chosen": "which model or kind of material was chosen, and why",

@@ -18,6 +18,7 @@ from ..core.defaults import independent_of_defaults
 from ..core.errors import CaptureError, ShapeError
 from ..core.findings import Finding
 from ..core.progress import track
+from ..core.warn import warn
 from ..geometry.height_field import silhouette_normals
 from .robust_stats import BRIGHT, MAD_TO_SIGMA, MIDDLE_RANKS, NOISE_FLOOR, SHADOW, between_ranks, geman_mcclure
 from .surface_rotation import SmoothNormals, rotation_to_surface
@@ -38,6 +39,8 @@ BORDER_SHARE = 0.25
 """Share of the outline that may lie on the picture's border, where it is none of the object's; set by hand."""
 UNEQUAL = 0.1
 """Standard deviation of the logarithm of the lights' brightness from which they are not equally bright; set by hand."""
+UNCERTAIN = 5.0
+"""Degrees of `FoundLights.uncertainty` from which a warning is issued; set by hand."""
 MAX_SPREAD = 100.0
 """Condition number of the six equations of equal brightness above which the lights do not fix them; set by hand."""
 
@@ -48,11 +51,14 @@ class FoundLights(NamedTuple):
     Attributes:
         directions: (K, 3) float32 unit, camera frame.
         brightness: (K,) float32, of mean 1, as the fit finds it: about 1 where the lights are equally bright.
+        uncertainty: degrees by which the lights of one half of the object differ from those of the whole, RMS over
+            halves by place and by normal; infinite where a half does not determine them.
         findings: what was assumed and what stays open.
     """
 
     directions: Tensor
     brightness: Tensor
+    uncertainty: float
     findings: tuple[Finding, ...]
 
 
@@ -112,9 +118,29 @@ def find_lights(images: Tensor, mask: Tensor) -> FoundLights:
         scaled = _regress_normals(F.normalize(lights, dim=1), grey)
         lights = _regress_lights(scaled, grey)
     brightness = lights.norm(dim=1)
-    findings = _describe(len(lights), float(spread))
     directions = F.normalize(lights, dim=1)
-    return FoundLights(directions.float(), (brightness / brightness.mean()).float(), tuple(findings))
+    uncertainty = _uncertainty(directions, grey, small[0])
+    findings = _describe(len(lights), float(spread), uncertainty)
+    return FoundLights(directions.float(), (brightness / brightness.mean()).float(), uncertainty, tuple(findings))
+
+
+def _uncertainty(directions: Tensor, grey: Tensor, inside: Tensor) -> float:
+    """How far the lights of halves of the object are from ``directions``, degrees."""
+    scaled = _regress_normals(directions, grey)
+    row, column = inside.nonzero().unbind(1)
+    square = []
+    for place in (row, column, *(scaled[:, axis] / scaled.norm(dim=1).clamp_min(1e-12) for axis in (0, 1))):
+        first = place <= place.median()
+        for half in (first, ~first):
+            try:
+                lights = _regress_lights(
+                    _regress_normals(_regress_lights(scaled[half], grey[half]), grey[half]), grey[half]
+                )
+                lights = F.normalize(lights @ _equal_brightness(lights), dim=1)
+            except (CaptureError, RuntimeError):  # a half that determines nothing; a singular system
+                return float("inf")
+            square.append((lights * directions).sum(1).clamp(-1, 1).acos().rad2deg().mean().square())
+    return float(torch.stack(square).mean().sqrt())
 
 
 def _check_outline(inside: Tensor, count: int) -> None:
@@ -222,17 +248,26 @@ def _squares(lights: Tensor) -> Tensor:
     return torch.stack((x * x, y * y, z * z, 2 * x * y, 2 * x * z, 2 * y * z), 1)
 
 
-def _describe(count: int, spread: float) -> list[Finding]:
+def _describe(count: int, spread: float, uncertainty: float) -> list[Finding]:
     """What was assumed, and what speaks against it."""
     text = (
         f"no lights were given: {count} directions were found from the photographs, for lights far away and equally "
         "bright and an object that is convex on the whole; a hollow one would need the opposite directions."
     )
     findings = [Finding(text, "lights-found", count)]
+    if uncertainty > UNCERTAIN:
+        told = f"differ by {uncertainty:.1f} degrees" if uncertainty < 90 else "are not determined"
+        text = (
+            f"the lights of halves of the object {told}: the directions are uncertain by that and more; photograph a "
+            "mirror ball under the lights, or more lights from all around."
+        )
+        findings.append(Finding(text, "lights-uncertain", uncertainty))
+        warn(text)
     if spread > UNEQUAL:
         text = (
             f"the lights found differ in brightness by {100 * spread:.0f} %: they are not equally bright, and their "
             "directions are not to be trusted; give light_intensities.txt or the lights."
         )
         findings.append(Finding(text, "lights-unequal", 100 * spread))
+        warn(text)
     return findings
