@@ -25,7 +25,7 @@ CODES: dict[str, str] = {
     "faces-turned": "number of faces that were wound against their neighbours and were turned over",
     "one-sided": "the faces cannot be wound alike, as on a Möbius strip",
     # lights that were not given
-    "lights-found": "light directions were found from the photographs; value: their number",
+    "lights-found": "light directions were found from the photographs; value: degrees by which those of halves differ",
     "lights-uncertain": "halves of the object show lights that differ by that many degrees, or show none",
     "lights-unequal": "the lights found differ in brightness by that many percent and are not to be trusted",
     # choice of a model

@@ -20,16 +20,29 @@ from ..core.findings import Finding
 from ..core.progress import track
 from ..core.warn import warn
 from ..geometry.height_field import silhouette_normals
-from .robust_stats import BRIGHT, MAD_TO_SIGMA, MIDDLE_RANKS, NOISE_FLOOR, SHADOW, between_ranks, geman_mcclure
+from .linear_systems import solve_symmetric
+from .robust_fit import CHUNK
+from .robust_stats import (
+    BRIGHT,
+    MAD_TO_SIGMA,
+    MIDDLE_RANKS,
+    SHADOW,
+    ascending,
+    between_ranks,
+    geman_mcclure,
+    mean_brightness,
+    median_rank,
+    noise_level,
+)
 from .surface_rotation import SmoothNormals, rotation_to_surface
 
-PIXELS = 30_000
+PIXELS = 20_000
 """Pixels of the reduced photographs, about, that the lights are found from; set by hand, for seconds."""
 MIN_LIGHTS = 6
 """Fewest photographs: equal brightness gives one equation for each, and the matrix that it fixes has six unknowns."""
-ROUNDS, LATER_ROUNDS = 6, 4
+ROUNDS, LATER_ROUNDS = 6, 3
 """Alternations between lights and normals before the ambiguity is resolved, and with it. Set by hand."""
-REWEIGHTINGS = 5
+REWEIGHTINGS = 4
 """Of each robust regression; set by hand."""
 BRIGHTEST_LEFT_OUT = 0.85
 """Quantile of a photograph's pixels above which they are highlights or spoiled by them; set by hand."""
@@ -39,7 +52,7 @@ BORDER_SHARE = 0.25
 """Share of the outline that may lie on the picture's border, where it is none of the object's; set by hand."""
 UNEQUAL = 0.1
 """Standard deviation of the logarithm of the lights' brightness from which they are not equally bright; set by hand."""
-UNCERTAIN = 5.0
+UNCERTAIN = 3.0
 """Degrees of `FoundLights.uncertainty` from which a warning is issued; set by hand."""
 MAX_SPREAD = 100.0
 """Condition number of the six equations of equal brightness above which the lights do not fix them; set by hand."""
@@ -101,12 +114,13 @@ def find_lights(images: Tensor, mask: Tensor) -> FoundLights:
     inside = check_mask(mask, images)
     _check_outline(inside[0], len(images))
     grey, small = _reduced(images, inside)
+    seen = _Observations.of(grey)
     outline = silhouette_normals(small)[:, small[0]].T.to(grey)
     scaled = outline * (grey.mean(1, keepdim=True) / outline[:, 2:].clamp_min(LEAST_FACING))
-    lights = _regress_lights(scaled, grey)
+    lights = seen.regress_lights(scaled)
     for _ in track(range(ROUNDS), "finding lights", ROUNDS):
-        scaled = _regress_normals(lights, grey)
-        lights = _regress_lights(scaled, grey)
+        scaled = seen.regress_normals(lights)
+        lights = seen.regress_lights(scaled)
     spread = lights.new_zeros(())
     for _ in track(range(LATER_ROUNDS), "turning lights", LATER_ROUNDS):
         root = _equal_brightness(lights)
@@ -115,27 +129,26 @@ def find_lights(images: Tensor, mask: Tensor) -> FoundLights:
         lights = lights @ turn
         brightness = lights.norm(dim=1)
         spread = MAD_TO_SIGMA * (brightness.log() - brightness.log().median()).abs().median()
-        scaled = _regress_normals(F.normalize(lights, dim=1), grey)
-        lights = _regress_lights(scaled, grey)
+        scaled = seen.regress_normals(F.normalize(lights, dim=1))
+        lights = seen.regress_lights(scaled)
     brightness = lights.norm(dim=1)
     directions = F.normalize(lights, dim=1)
-    uncertainty = _uncertainty(directions, grey, small[0])
+    uncertainty = _uncertainty(directions, seen, small[0])
     findings = _describe(len(lights), float(spread), uncertainty)
     return FoundLights(directions.float(), (brightness / brightness.mean()).float(), uncertainty, tuple(findings))
 
 
-def _uncertainty(directions: Tensor, grey: Tensor, inside: Tensor) -> float:
+def _uncertainty(directions: Tensor, seen: _Observations, inside: Tensor) -> float:
     """How far the lights of halves of the object are from ``directions``, degrees."""
-    scaled = _regress_normals(directions, grey)
+    scaled = seen.regress_normals(directions)
     row, column = inside.nonzero().unbind(1)
     square = []
     for place in (row, column, *(scaled[:, axis] / scaled.norm(dim=1).clamp_min(1e-12) for axis in (0, 1))):
         first = place <= place.median()
         for half in (first, ~first):
+            part = seen.part(half)
             try:
-                lights = _regress_lights(
-                    _regress_normals(_regress_lights(scaled[half], grey[half]), grey[half]), grey[half]
-                )
+                lights = part.regress_lights(part.regress_normals(part.regress_lights(scaled[half])))
                 lights = F.normalize(lights @ _equal_brightness(lights), dim=1)
             except (CaptureError, RuntimeError):  # a half that determines nothing; a singular system
                 return float("inf")
@@ -179,39 +192,59 @@ def _reduced(images: Tensor, inside: Tensor) -> tuple[Tensor, Tensor]:
     return grey / grey.mean().clamp_min(1e-12), small.cpu()
 
 
-def _regress_lights(scaled: Tensor, grey: Tensor) -> Tensor:
-    """Lights (K, 3) times their brightness, from albedo times normals (P, 3), without shadows and highlights."""
-    count = grey.shape[0]
-    ordered = grey.sort(0).values
-    bright = ordered[min(int(BRIGHTEST_LEFT_OUT * count), count - 1)]
-    level = grey.sort(1).values[:, min(int(BRIGHT * grey.shape[1]), grey.shape[1] - 1), None]
-    used = ((grey <= bright) & (grey > SHADOW * level)).to(grey)
-    outer, weight = (scaled[:, :, None] * scaled[:, None]).flatten(1), used
-    lights = grey.new_zeros(grey.shape[1], 3)
-    for _ in range(REWEIGHTINGS):
-        matrix = (weight.T @ outer).view(-1, 3, 3) + 1e-9 * torch.eye(3, dtype=grey.dtype)
-        lights = torch.linalg.solve(matrix, (weight * grey).T @ scaled)
-        residual = grey - scaled @ lights.T
-        noise = MAD_TO_SIGMA * torch.where(used > 0, residual.abs(), torch.nan).nanmedian(0).values
-        weight = geman_mcclure(used, residual, noise.nan_to_num(1.0).clamp_min(NOISE_FLOOR))
-    return lights
+class _Observations(NamedTuple):
+    """Grey observations and those of them that count.
+
+    Attributes:
+        grey: (P, K) float64.
+        middle: (P, K) 1 for observations of a pixel that are of middle rank and in light.
+        dim: (P, K) 1 for pixels of a photograph that are in light and not among its brightest.
+    """
+
+    grey: Tensor
+    middle: Tensor
+    dim: Tensor
+
+    @staticmethod
+    def of(grey: Tensor) -> _Observations:
+        """Which of them count does not depend on lights and normals."""
+        bright = ascending(grey.T.contiguous())[:, min(int(BRIGHTEST_LEFT_OUT * len(grey)), len(grey) - 1)]
+        level = ascending(grey)[:, min(int(BRIGHT * grey.shape[1]), grey.shape[1] - 1), None]
+        dim = ((grey <= bright) & (grey > SHADOW * level)).to(grey)
+        return _Observations(grey, between_ranks(grey, *MIDDLE_RANKS), dim)
+
+    def part(self, pixels: Tensor) -> _Observations:
+        """Those of some pixels, (P,) bool."""
+        return _Observations(self.grey[pixels], self.middle[pixels], self.dim[pixels])
+
+    def regress_lights(self, scaled: Tensor) -> Tensor:
+        """Lights (K, 3) times their brightness, from albedo times normals (P, 3)."""
+        return _regress(self.grey.T.contiguous(), self.dim.T.contiguous(), scaled)
+
+    def regress_normals(self, lights: Tensor) -> Tensor:
+        """Albedo times normals (P, 3), from lights (K, 3) times their brightness."""
+        return _regress(self.grey, self.middle, lights)
 
 
-def _regress_normals(lights: Tensor, grey: Tensor) -> Tensor:
-    """Albedo times normals (P, 3) from lights (K, 3) times their brightness."""
-    used = between_ranks(grey, *MIDDLE_RANKS)
-    outer, weight = (lights[:, :, None] * lights[:, None]).flatten(1), used
-    scaled = grey.new_zeros(len(grey), 3)
+def _regress(seen: Tensor, used: Tensor, vectors: Tensor) -> Tensor:
+    """Robust solutions (N, 3) of ``seen = solution @ vectors.T``, N rows in parts that fit in cache."""
+    rows = max(1, CHUNK // seen.shape[1])
+    parts = zip(seen.split(rows), used.split(rows), strict=True)
+    return torch.cat([_regress_rows(some, some_used, vectors) for some, some_used in parts])
+
+
+def _regress_rows(seen: Tensor, used: Tensor, vectors: Tensor) -> Tensor:
+    outer, weight, rank = (vectors[:, :, None] * vectors[:, None]).flatten(1), used, median_rank(used)
+    mean = mean_brightness(seen)
+    solution = seen.new_zeros(len(seen), 3)
     for _ in range(REWEIGHTINGS):
-        matrix = (weight @ outer).view(-1, 3, 3)
-        ridge = 1e-6 * matrix.diagonal(dim1=1, dim2=2).sum(1).clamp_min(1e-12)
-        matrix = matrix + ridge[:, None, None] * torch.eye(3, dtype=grey.dtype)
-        scaled = torch.linalg.solve(matrix, (weight * grey) @ lights)
-        residual = grey - scaled @ lights.T
-        noise = MAD_TO_SIGMA * torch.where(used > 0, residual.abs(), torch.nan).nanmedian(1, keepdim=True).values
-        floor = NOISE_FLOOR * grey.abs().mean(1, keepdim=True).clamp_min(1e-12)
-        weight = geman_mcclure(used, residual, torch.maximum(noise.nan_to_num(1.0), floor))
-    return scaled
+        matrix = (weight @ outer).T.view(3, 3, -1)
+        ridge = 1e-6 * (matrix[0, 0] + matrix[1, 1] + matrix[2, 2]).clamp_min(1e-12)
+        rows = [[matrix[i, j] + ridge if i == j else matrix[i, j] for j in range(3)] for i in range(3)]
+        solution = torch.stack(solve_symmetric(rows, list(((weight * seen) @ vectors).T)), 1)
+        residual = seen - solution @ vectors.T
+        weight = geman_mcclure(used, residual, mean * noise_level(residual / mean, used, rank))
+    return solution
 
 
 def _equal_brightness(lights: Tensor) -> Tensor:
@@ -250,11 +283,13 @@ def _squares(lights: Tensor) -> Tensor:
 
 def _describe(count: int, spread: float, uncertainty: float) -> list[Finding]:
     """What was assumed, and what speaks against it."""
+    agreed = f"agree within {uncertainty:.1f} degrees" if uncertainty < 90 else "show none"
     text = (
         f"no lights were given: {count} directions were found from the photographs, for lights far away and equally "
-        "bright and an object that is convex on the whole; a hollow one would need the opposite directions."
+        f"bright and an object that is convex on the whole. Those of halves of the object {agreed}; the error may be "
+        "several times that."
     )
-    findings = [Finding(text, "lights-found", count)]
+    findings = [Finding(text, "lights-found", uncertainty)]
     if uncertainty > UNCERTAIN:
         told = f"differ by {uncertainty:.1f} degrees" if uncertainty < 90 else "are not determined"
         text = (
