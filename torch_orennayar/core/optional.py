@@ -29,6 +29,17 @@ PACKAGES: dict[str, tuple[str, str]] = {
 them with ``pyproject.toml``."""
 
 
+def available(*modules: str) -> bool:
+    """Whether all of ``modules``, keys of `PACKAGES`, can be imported.
+
+    Example:
+        >>> from torch_orennayar.core.optional import available
+        >>> available("scipy")
+        True
+    """
+    return all(_can_import(name) for name in modules)
+
+
 def require(*modules: str) -> None:
     """Raise an error that names the ``pip`` command unless all of ``modules`` can be imported.
 

@@ -15,6 +15,7 @@ from ..reconstruction import Reconstruction, stack
 from ..reflectance.models import get_model
 from .capture_checks import check_directions, check_shapes, find_dark_pixels, find_valid, leave_out
 from .interreflection import choose_interreflected_light
+from .light_frame import check_light_frame
 from .material_choice import choose_material, judge_roughness_map
 from .material_refinement import MIN_LIGHTS_HELD_OUT
 from .material_selection import MaterialChoice
@@ -117,6 +118,8 @@ def photometric_stereo(
     dark = find_dark_pixels(images, inside)
     sample = PixelSample.gather(images, lights, _draw_places(inside & ~dark, seed))
     findings = check_directions(sample.directions) + clipped
+    if lights.ndim == 2:
+        findings += check_light_frame(images, lights, inside)
     choice = choose_material(sample, model, seed) if robust and model != NETWORK else MaterialChoice()
     material, uncertain = choice.material, choice.roughness_error
     findings += choice.findings

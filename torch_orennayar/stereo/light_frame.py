@@ -1,0 +1,57 @@
+"""Whether light directions are in the camera's frame: with y or x the wrong way round, bumps lean the wrong way."""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from ..core.findings import Finding
+from ..core.optional import available
+from ..core.warn import warn
+from ..geometry.height_field import silhouette_normals
+
+PIXELS = 4000
+"""Pixels, about, of the reduced photographs that are looked at; set by hand, for milliseconds."""
+TILT = 0.3
+"""Least slant to the side of the outline's normals that say where left and right, up and down are; set by hand."""
+OPPOSED = 0.5
+"""Correlation of normals with the outline's beyond which an axis agrees, or is turned round; set by hand."""
+
+
+def check_light_frame(images: Tensor, lights: Tensor, inside: Tensor) -> list[Finding]:
+    """Warn where normals agree with the object's outline along one axis of the picture and oppose it along the other.
+
+    Args:
+        images: (K, C, H, W) linear light.
+        lights: (K, 3) unit directions.
+        inside: (H, W) bool, the object.
+
+    Returns:
+        A finding where an axis is turned round; nothing where the outline does not tell, or pyamg is not installed.
+    """
+    border = torch.cat((inside[0], inside[-1], inside[:, 0], inside[:, -1]))
+    if bool(border.any()) or not available("pyamg", "scipy"):  # the outline may be the picture's, not the object's
+        return []
+    factor = max(1, round((int(inside.sum()) / PIXELS) ** 0.5))
+    small = F.avg_pool2d(inside.double()[None], factor)[0] > 0.5
+    if not bool(small.any()):
+        return []
+    seen = [F.avg_pool2d(image.mean(0, keepdim=True).float()[None], factor)[0, 0][small] for image in images]
+    normal = torch.stack(seen, 1).nan_to_num(0.0) @ torch.linalg.pinv(lights.float()).T
+    outline = silhouette_normals(small[None].cpu())[:, small.cpu()].T.to(normal)
+    side = outline[:, :2].norm(dim=1) > TILT
+    across, up = (_correlation(normal[side, axis], outline[side, axis]) for axis in (0, 1))
+    for turned, kept, name, way in ((up, across, "y", "down"), (across, up, "x", "left")):
+        if turned < -OPPOSED and kept > OPPOSED:
+            text = (
+                f"the surface leans against its outline along {name}: the light directions seem to have {name} "
+                f"pointing {way}; turn the sign of their {name} (x right, y up, z toward the camera)."
+            )
+            warn(text)
+            return [Finding(text, "lights-mirrored", turned)]
+    return []
+
+
+def _correlation(one: Tensor, other: Tensor) -> float:
+    return float((one * other).sum() / (one.norm() * other.norm()).clamp_min(1e-12))
