@@ -64,15 +64,15 @@ def test_lights_of_rough_objects_with_shadows(meshes: dict[str, tuple[Tensor, Te
 
 
 @pytest.mark.filterwarnings("ignore:the lights of halves of the object differ")
-@pytest.mark.parametrize(("name", "bar"), [("ball", 2.0), ("cat", 2.6), ("reading", 5.5)])
+@pytest.mark.parametrize(("name", "bar"), [("ball", 2.0), ("cat", 2.6)])
 @pytest.mark.slow
 def test_lights_of_real_objects(data: Path, name: str, bar: float) -> None:
-    """Measured 1.8, 2.5 and 5.1 degrees; with unequal lights the doubt is said."""
+    """Measured 1.8 and 2.5 degrees; with unequal lights the doubt is said."""
     capture = load_capture(data / "diligent" / f"{name}PNG")
     found = find_lights(capture.images, capture.mask)
     assert degrees(found.directions, capture.lights) < bar
     assert found.uncertainty < bar
-    if name == "ball":
+    if name == "cat":
         raw = capture.images * capture.intensities[:, :, None, None]
         with pytest.warns(UserWarning, match="not equally bright"):
             assert "lights-unequal" in {f.code for f in find_lights(raw, capture.mask).findings}

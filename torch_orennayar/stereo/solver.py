@@ -72,7 +72,8 @@ def photometric_stereo(
         mask: (1, H, W) or (B, 1, H, W) bool; default all pixels. Outside it images may hold any values.
         model: ``"auto"``, a name in ``MODELS``, which is then used without lobes, or ``"network"``: normals by a small
             network trained on synthetic pixels (12 lights or more), with Lambert's albedo, solved in float32.
-        robust: ``False`` is plain least squares over all observations, for ``"lambert"`` only.
+        robust: ``False`` is plain least squares over all observations, for ``"lambert"`` only; pixels that fewer than
+            three lights reach then keep what it gives, else they continue the normals about them.
         valid: (K, 1, H, W) or (B, K, 1, H, W) bool, or with C channels: the samples that count, such as
             ``Capture.valid``. Default: all; but where images reach 1, none is brighter and one in a thousand samples
             is exactly 1, these are taken as clipped at full scale.
@@ -138,7 +139,7 @@ def photometric_stereo(
     findings += _doubtful_pixels(dark, maps, len(images), material.model)
     unknown = dark if len(images) > 3 else inside
     return Reconstruction(
-        normal=fill_normals(maps.normal, dark, inside) if bool(dark.any()) else maps.normal,
+        normal=fill_normals(maps.normal, dark, inside) if robust and bool(dark.any()) else maps.normal,
         albedo=maps.albedo,
         roughness=maps.roughness,
         residual=maps.residual,
