@@ -318,6 +318,7 @@ def test_samples_collate_into_batches() -> None:
         ({"kind": "images", "meshes": []}, "list"),
         ({"kind": "images", "meshes": [(torch.eye(3).numpy(), torch.tensor([[0, 1, 2]]).numpy())]}, "tensor"),
         ({"kind": "images", "meshes": [(torch.eye(3), torch.tensor([[0, 1, 3]]))]}, "indices"),
+        ({"kind": "images", "meshes": [(torch.eye(3) / 0, torch.tensor([[0, 1, 2]]))]}, "finite"),
     ],
 )
 def test_arguments_of_other_types(options: dict[str, object], words: str) -> None:

@@ -284,6 +284,8 @@ def _check_meshes(meshes: object) -> None:
             mend = "use load_mesh" if isinstance(mesh, (str, os.PathLike)) else "give (vertices, faces)"
             raise ShapeError("meshes", expected="pairs (vertices, faces)", got=repr(mesh)[:60], mend=mend)
         check_mesh(*mesh)
+        if not bool(mesh[0].isfinite().all()):
+            raise RangeError("meshes", expected="finite vertices", got="NaN or infinity", mend="clean the mesh")
 
 
 def _grouped() -> bool:
