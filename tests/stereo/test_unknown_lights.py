@@ -43,6 +43,8 @@ def test_lights_of_a_lambertian_ball(ball: tuple[Tensor, Tensor], count: int) ->
     assert found.brightness.mean().item() == pytest.approx(1)
     assert [f.code for f in found.findings] == ["lights-found"]
     assert found.uncertainty < 1.5
+    beyond = torch.where(mask, images, torch.nan)  # outside the mask images may hold any values
+    assert torch.equal(find_lights(beyond, mask).directions, found.directions)
     solved = photometric_stereo(images, None, mask, model="lambert")
     assert solved.lights is not None
     assert torch.equal(solved.lights, found.directions)

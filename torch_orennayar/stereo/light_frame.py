@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 
 from ..core.findings import Finding
 from ..core.optional import available
 from ..core.warn import warn
 from ..geometry.height_field import silhouette_normals
+from .pixel_sample import gather_reduced
 
 PIXELS = 4000
 """Pixels, about, of the reduced photographs that are looked at; set by hand, for milliseconds."""
@@ -33,13 +33,11 @@ def check_light_frame(images: Tensor, lights: Tensor, inside: Tensor) -> list[Fi
     border = torch.cat((inside[0], inside[-1], inside[:, 0], inside[:, -1]))
     if bool(border.any()) or not available("pyamg", "scipy"):  # the outline may be the picture's, not the object's
         return []
-    factor = max(1, round((int(inside.sum()) / PIXELS) ** 0.5))
-    small = F.avg_pool2d(inside.double()[None], factor)[0] > 0.5
-    if not bool(small.any()):
+    grey, small = gather_reduced(images, inside, PIXELS)
+    if not len(grey):
         return []
-    seen = [F.avg_pool2d(image.mean(0, keepdim=True).float()[None], factor)[0, 0][small] for image in images]
-    normal = torch.stack(seen, 1).nan_to_num(0.0) @ torch.linalg.pinv(lights.float()).T
-    outline = silhouette_normals(small[None].cpu())[:, small.cpu()].T.to(normal)
+    normal = grey @ torch.linalg.pinv(lights.double().cpu()).T
+    outline = silhouette_normals(small[None])[:, small].T.to(normal)
     side = outline[:, :2].norm(dim=1) > TILT
     across, up = (_correlation(normal[side, axis], outline[side, axis]) for axis in (0, 1))
     for turned, kept, name, way in ((up, across, "y", "down"), (across, up, "x", "left")):

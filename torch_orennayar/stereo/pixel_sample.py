@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 from ..core.checks import check_unit
@@ -65,3 +66,25 @@ def gather_directions(lights: Tensor, where: Tensor) -> Tensor:
     directions = lights if lights.ndim == 2 else lights.flatten(2)[:, :, where].permute(2, 0, 1)
     check_unit("lights", directions, directions.ndim - 1, gaps=False)
     return directions
+
+
+def gather_reduced(images: Tensor, inside: Tensor, pixels: int) -> tuple[Tensor, Tensor]:
+    """Grey observations of the photographs reduced to about so many ``pixels`` of the object, on the processor.
+
+    Args:
+        images: (K, C, H, W); outside the object they may hold any values.
+        inside: (H, W) bool, the object.
+        pixels: about how many it has afterwards; small objects are not enlarged.
+
+    Returns:
+        Observations (P, K) float64 over their mean, and where they lie, (h, w) bool.
+    """
+    factor = max(1, round((int(inside.sum()) / pixels) ** 0.5))
+    share = F.avg_pool2d(inside.double()[None], factor)[0]
+    small = share > 0.5
+    seen = []
+    for image in images:
+        grey = torch.where(inside, image.double().mean(0), 0.0)
+        seen.append((F.avg_pool2d(grey[None], factor)[0] / share.clamp_min(1e-9))[small])
+    observed = torch.stack(seen, 1).cpu()
+    return observed / observed.mean().clamp_min(1e-12), small.cpu()

@@ -21,6 +21,7 @@ from ..core.progress import track
 from ..core.warn import warn
 from ..geometry.height_field import silhouette_normals
 from .linear_systems import solve_symmetric
+from .pixel_sample import gather_reduced
 from .robust_fit import CHUNK
 from .robust_stats import (
     BRIGHT,
@@ -113,9 +114,9 @@ def find_lights(images: Tensor, mask: Tensor) -> FoundLights:
         raise ShapeError("images", expected="(K, C, H, W)", got=str(tuple(images.shape)), mend="stack the images")
     inside = check_mask(mask, images)
     _check_outline(inside[0], len(images))
-    grey, small = _reduced(images, inside)
+    grey, small = gather_reduced(images, inside[0], PIXELS)
     seen = _Observations.of(grey)
-    outline = silhouette_normals(small)[:, small[0]].T.to(grey)
+    outline = silhouette_normals(small[None])[:, small].T.to(grey)
     scaled = outline * (grey.mean(1, keepdim=True) / outline[:, 2:].clamp_min(LEAST_FACING))
     lights = seen.regress_lights(scaled)
     for _ in track(range(ROUNDS), "finding lights", ROUNDS):
@@ -125,7 +126,7 @@ def find_lights(images: Tensor, mask: Tensor) -> FoundLights:
     for _ in track(range(LATER_ROUNDS), "turning lights", LATER_ROUNDS):
         root = _equal_brightness(lights)
         lights, scaled = lights @ root, scaled @ torch.linalg.inv(root)
-        turn = rotation_to_surface(SmoothNormals.of(F.normalize(scaled, dim=1), small[0]))
+        turn = rotation_to_surface(SmoothNormals.of(F.normalize(scaled, dim=1), small))
         lights = lights @ turn
         brightness = lights.norm(dim=1)
         spread = MAD_TO_SIGMA * (brightness.log() - brightness.log().median()).abs().median()
@@ -133,7 +134,7 @@ def find_lights(images: Tensor, mask: Tensor) -> FoundLights:
         lights = seen.regress_lights(scaled)
     brightness = lights.norm(dim=1)
     directions = F.normalize(lights, dim=1)
-    uncertainty = _uncertainty(directions, seen, small[0])
+    uncertainty = _uncertainty(directions, seen, small)
     findings = _describe(len(lights), float(spread), uncertainty)
     return FoundLights(directions.float(), (brightness / brightness.mean()).float(), uncertainty, tuple(findings))
 
@@ -177,19 +178,6 @@ def _check_outline(inside: Tensor, count: int) -> None:
             got="one that the picture's border cuts, or no mask",
             mend="give a mask (--mask), photograph the whole object, or give the lights (--lights, --chrome)",
         )
-
-
-def _reduced(images: Tensor, inside: Tensor) -> tuple[Tensor, Tensor]:
-    """Grey observations (P, K) float64 of about `PIXELS` pixels, over their mean, and their mask (1, h, w)."""
-    factor = max(1, round((int(inside.sum()) / PIXELS) ** 0.5))
-    share = F.avg_pool2d(inside.double()[None], factor)[0]
-    small = share > 0.5
-    seen = []
-    for image in images:
-        grey = F.avg_pool2d((image.double().mean(0, keepdim=True) * inside)[None], factor)[0]
-        seen.append((grey / share.clamp_min(1e-9))[small])
-    grey = torch.stack(seen, 1).cpu()
-    return grey / grey.mean().clamp_min(1e-12), small.cpu()
 
 
 class _Observations(NamedTuple):
