@@ -48,7 +48,8 @@ class Reconstruction:
         depth: (1, H, W); None from photometric stereo under distant lights, where `integrate_normals` gives it.
         ambient: (1, H, W) light from all around as a share of the light, given or estimated, 0 outside the mask;
             `shade` leaves it out. None from photometric stereo.
-        lights: (K, 3) unit directions that photometric stereo found where none were given; else None.
+        lights: (K, 3) unit directions that photometric stereo found where none were given, or refined; else None.
+        intensities: (K, 1) or (K, C) brightness of the lights by which it divided the images; None where that was 1.
     """
 
     normal: Tensor
@@ -66,6 +67,7 @@ class Reconstruction:
     depth: Tensor | None = None
     ambient: Tensor | None = None
     lights: Tensor | None = None
+    intensities: Tensor | None = None
 
     def shade(self, lights: Tensor) -> Tensor:
         """Relight the result: what it shows under other distant lights, seen from the front.
@@ -154,9 +156,6 @@ def stack(found: Sequence[Reconstruction]) -> BatchReconstruction:
         for row, r in zip(lobes, found, strict=True):
             if r.specular is not None:
                 row[: len(r.specular)] = r.specular
-    depths = [r.depth for r in found if r.depth is not None]
-    ambients = [r.ambient for r in found if r.ambient is not None]
-    lights = [r.lights for r in found if r.lights is not None]
     return BatchReconstruction(
         normal=torch.stack([r.normal for r in found]),
         albedo=torch.stack([r.albedo for r in found]),
@@ -174,7 +173,14 @@ def stack(found: Sequence[Reconstruction]) -> BatchReconstruction:
         exponents=tuple(r.exponents for r in found),
         falloff=tuple(r.falloff for r in found),
         roughness_error=tuple(r.roughness_error for r in found),
-        depth=torch.stack(depths) if len(depths) == len(found) else None,
-        ambient=torch.stack(ambients) if len(ambients) == len(found) else None,
-        lights=torch.stack(lights) if len(lights) == len(found) else None,
+        depth=_stack_known([r.depth for r in found]),
+        ambient=_stack_known([r.ambient for r in found]),
+        lights=_stack_known([r.lights for r in found]),
+        intensities=_stack_known([r.intensities for r in found]),
     )
+
+
+def _stack_known(values: Sequence[Tensor | None]) -> Tensor | None:
+    """The values stacked, or None where one is missing."""
+    known = [value for value in values if value is not None]
+    return torch.stack(known) if len(known) == len(values) else None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Literal
 
 import pytest
 import torch
@@ -15,13 +16,14 @@ from tests.support.objects import findings
 from torch_orennayar import (
     CaptureError,
     OrenNayar,
+    RangeError,
     angular_error,
     find_lights,
     load_capture,
     photometric_stereo,
 )
 from torch_orennayar.geometry.primitives import Ball, spiral_lights
-from torch_orennayar.stereo.surface_rotation import SmoothNormals, rotation_to_surface
+from torch_orennayar.stereo.surface_rotation import rotation_to_surface
 
 
 def degrees(one: Tensor, other: Tensor) -> float:
@@ -33,21 +35,24 @@ def ball() -> tuple[Tensor, Tensor]:
     return Ball(31.5, 31.5, 29.0).normals((64, 64))
 
 
-@pytest.mark.parametrize("count", [6, 12, 24])
+@pytest.mark.parametrize("count", [6, 12])
 def test_lights_of_a_lambertian_ball(ball: tuple[Tensor, Tensor], count: int) -> None:
     normal, mask = ball
     lights = spiral_lights(count)
     images = OrenNayar("lambert")(normal[None], lights[None], albedo=0.6)[0]
     found = find_lights(images, mask)
-    assert degrees(found.directions, lights) < 1.5
-    assert found.brightness.mean().item() == pytest.approx(1)
+    assert degrees(found.directions, lights) < 1
+    assert found.brightness.log().mean().item() == pytest.approx(0, abs=1e-5)
+    assert found.brightness.log().std() < 0.02
     assert [f.code for f in found.findings] == ["lights-found"]
-    assert found.uncertainty < 1.5
+    assert 0.5 < found.uncertainty < 5
     beyond = torch.where(mask, images, torch.nan)  # outside the mask images may hold any values
     assert torch.equal(find_lights(beyond, mask).directions, found.directions)
     solved = photometric_stereo(images, None, mask, model="lambert")
     assert solved.lights is not None
     assert torch.equal(solved.lights, found.directions)
+    assert solved.intensities is not None
+    assert torch.equal(solved.intensities[:, 0], found.brightness)
     assert angular_error(solved.normal, normal, mask).summary()["mean"] < 1.5
     assert len(findings(solved, "lights-found")) == 1
     batch = photometric_stereo(torch.stack((images, images)), None, torch.stack((mask, mask)), model="lambert")
@@ -55,29 +60,58 @@ def test_lights_of_a_lambertian_ball(ball: tuple[Tensor, Tensor], count: int) ->
     assert torch.equal(batch.lights[1], found.directions)
 
 
-@pytest.mark.parametrize("name", ["bumps", "balls"])
-@pytest.mark.filterwarnings("ignore:the lights of halves of the object differ")
-@pytest.mark.slow
-def test_lights_of_rough_objects_with_shadows(meshes: dict[str, tuple[Tensor, Tensor]], name: str) -> None:
-    surface = rendered_captures.Surface("vcavity", 30, 0.6)
-    scene = rendered_captures.capture(meshes[name], surface, lights=24, size=96)
-    found = find_lights(scene.images, scene.mask)
-    assert degrees(found.directions, scene.lights) < 3.5
+def test_clipped_samples_say_nothing(ball: tuple[Tensor, Tensor]) -> None:
+    normal, mask = ball
+    lights = spiral_lights(12)
+    images = OrenNayar("lambert")(normal[None], lights[None], albedo=1.0)[0]
+    clipped = (1.4 * images).clamp(max=1)
+    assert degrees(find_lights(clipped, mask).directions, lights) < 1
+    valid = images < 0.6
+    spoiled = torch.where(valid, images, 0.6)
+    assert degrees(find_lights(spoiled, mask, valid=valid).directions, lights) < 1
 
 
-@pytest.mark.filterwarnings("ignore:the lights of halves of the object differ")
-@pytest.mark.parametrize(("name", "bar"), [("ball", 2.0), ("cat", 2.6)])
+@pytest.mark.parametrize(("name", "surface"), [("bumps", "rough"), ("balls", "rough"), ("ring", "glossy")])
+@pytest.mark.parametrize("intensities", ["equal", "unknown"])
+@pytest.mark.filterwarnings("ignore:the directions found are uncertain")
 @pytest.mark.slow
-def test_lights_of_real_objects(data: Path, name: str, bar: float) -> None:
-    """Measured 1.8 and 2.5 degrees; with unequal lights the doubt is said."""
+def test_lights_of_objects_with_shadows(
+    meshes: dict[str, tuple[Tensor, Tensor]], name: str, surface: str, intensities: Literal["equal", "unknown"]
+) -> None:
+    """16 lights, cast shadows, 1 % noise; roughness or highlights stand in for the brightness where it is unknown."""
+    material, bar = rendered_captures.Surface("vcavity", 30, 0.6), 1.5
+    if surface == "glossy":
+        material, bar = rendered_captures.MATERIALS["delrin"], 2.5
+    scene = rendered_captures.capture(meshes[name], material, lights=16, size=128)
+    gain = torch.ones(16)
+    if intensities == "unknown":
+        gain = (0.2 * torch.randn(16, generator=torch.Generator().manual_seed(1))).exp()
+    images = scene.images * gain[:, None, None, None]
+    found = find_lights(images, scene.mask, intensities=intensities)
+    assert degrees(found.directions, scene.lights) < bar
+    assert (found.brightness / gain).log().std() < 0.03
+    assert degrees(found.directions, scene.lights) < 2 * found.uncertainty
+    codes = {f.code for f in found.findings} - {"lights-uncertain"}
+    assert codes == {"lights-found"} | ({"brightness-found"} if intensities == "unknown" else set())
+    if intensities == "unknown":
+        with pytest.warns(UserWarning, match="not equally bright"):
+            assert "lights-unequal" in {f.code for f in find_lights(images, scene.mask).findings}
+
+
+@pytest.mark.filterwarnings("ignore:the directions found are uncertain")
+@pytest.mark.parametrize(("name", "bar", "bar_unknown"), [("ball", 1.5, 2.0), ("cat", 2.0, 2.0)])
+@pytest.mark.slow
+def test_lights_of_real_objects(data: Path, name: str, bar: float, bar_unknown: float) -> None:
+    """Measured 1.0 and 1.4 degrees, and where the brightness is not known 1.6 and 1.4."""
     capture = load_capture(data / "diligent" / f"{name}PNG")
     found = find_lights(capture.images, capture.mask)
     assert degrees(found.directions, capture.lights) < bar
-    assert found.uncertainty < bar
-    if name == "cat":
-        raw = capture.images * capture.intensities[:, :, None, None]
-        with pytest.warns(UserWarning, match="not equally bright"):
-            assert "lights-unequal" in {f.code for f in find_lights(raw, capture.mask).findings}
+    raw = capture.images * capture.intensities[:, :, None, None]
+    found = find_lights(raw, capture.mask, intensities="unknown")
+    assert degrees(found.directions, capture.lights) < bar_unknown
+    assert (found.brightness / capture.intensities.mean(1)).log().std() < 0.05
+    with pytest.warns(UserWarning, match="not equally bright"):
+        assert "lights-unequal" in {f.code for f in find_lights(raw, capture.mask).findings}
 
 
 def test_what_does_not_show_its_lights_is_refused(ball: tuple[Tensor, Tensor]) -> None:
@@ -90,11 +124,73 @@ def test_what_does_not_show_its_lights_is_refused(ball: tuple[Tensor, Tensor]) -
         find_lights(images, torch.ones_like(mask))
     with pytest.raises(CaptureError, match="border cuts"):
         find_lights(images[:, :, :, 20:40], mask[:, :, 20:40])
+    one = torch.zeros_like(mask)
+    one[0, 30, 30] = True
+    with pytest.raises(CaptureError, match="at least 200 pixels"):
+        find_lights(images, one)
+    with pytest.raises(RangeError, match="'equal' or 'unknown'"):
+        find_lights(images, mask, intensities="same")  # type: ignore[arg-type]
+
+
+def ring() -> Tensor:
     turned = torch.arange(12) * math.pi / 6
-    ring = F.normalize(torch.stack((turned.cos(), turned.sin(), torch.ones(12)), 1), dim=1)
-    on_a_ring = OrenNayar("lambert")(normal[None], ring[None], albedo=0.6)[0]
-    with pytest.raises(CaptureError, match="on one ring"):
-        find_lights(on_a_ring, mask)
+    return F.normalize(torch.stack((turned.cos(), turned.sin(), torch.ones(12)), 1), dim=1)
+
+
+def on_one_line() -> Tensor:
+    across = torch.linspace(-1, 1, 12)
+    return F.normalize(torch.stack((across, torch.zeros(12), torch.ones(12)), 1), dim=1)
+
+
+def nearly_the_same() -> Tensor:
+    scatter = 0.005 * torch.randn(12, 3, generator=torch.Generator().manual_seed(0))
+    return F.normalize(torch.tensor([[0.3, 0.2, 1.0]]) + scatter, dim=1)
+
+
+@pytest.mark.parametrize("lights", [ring(), on_one_line(), nearly_the_same()], ids=["ring", "line", "same"])
+def test_lights_that_photographs_hardly_determine(ball: tuple[Tensor, Tensor], lights: Tensor) -> None:
+    """They are said to be uncertain, by about as much as they are wrong or more."""
+    normal, mask = ball
+    images = OrenNayar("lambert")(normal[None], lights[None], albedo=0.6)[0]
+    images = images + 0.003 * torch.randn(images.shape, generator=torch.Generator().manual_seed(0))
+    with pytest.warns(UserWarning, match="uncertain by"):
+        found = find_lights(images.clamp_min(0), mask)
+    assert found.uncertainty > 5
+    assert degrees(found.directions, lights) < 2 * found.uncertainty
+
+
+def test_lights_on_one_side_are_found(ball: tuple[Tensor, Tensor]) -> None:
+    normal, mask = ball
+    lights = spiral_lights(24)
+    lights = lights[lights[:, 0] > 0.1]
+    images = OrenNayar("lambert")(normal[None], lights[None], albedo=0.6)[0]
+    assert degrees(find_lights(images, mask).directions, lights) < 1
+
+
+def test_two_objects_in_the_mask() -> None:
+    halves = [Ball(x, 31.5, 14.0).normals((64, 64)) for x in (15.5, 47.5)]
+    mask = halves[0][1] | halves[1][1]
+    normal = torch.where(halves[0][1], halves[0][0], halves[1][0])
+    lights = spiral_lights(12)
+    images = OrenNayar("lambert")(normal[None], lights[None], albedo=0.6)[0]
+    assert degrees(find_lights(images, mask).directions, lights) < 1
+
+
+def test_a_flat_object_is_refused() -> None:
+    normal = torch.tensor([0.0, 0, 1]).reshape(3, 1, 1).expand(3, 64, 64)
+    mask = torch.zeros(1, 64, 64, dtype=torch.bool)
+    mask[:, 10:54, 10:54] = True
+    images = OrenNayar("lambert")(normal[None], spiral_lights(12)[None], albedo=0.6)[0]
+    images = images + 0.003 * torch.randn(images.shape, generator=torch.Generator().manual_seed(0))
+    with pytest.raises(CaptureError, match="surface that is flat"):
+        find_lights(images, mask)
+
+
+def test_a_lambertian_surface_does_not_show_the_brightness(ball: tuple[Tensor, Tensor]) -> None:
+    normal, mask = ball
+    images = OrenNayar("lambert")(normal[None], spiral_lights(10)[None], albedo=0.6)[0]
+    with pytest.raises(CaptureError, match="of unknown brightness"):
+        find_lights(images, mask, intensities="unknown")
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -108,7 +204,8 @@ def test_a_turned_surface_is_turned_back(seed: int) -> None:
     x, y, z = axis.tolist()
     turn = torch.linalg.matrix_exp(torch.tensor([[0, -z, y], [z, 0, -x], [-y, x, 0]]).double())
     inside = torch.ones(size, size, dtype=torch.bool)
-    found = rotation_to_surface(SmoothNormals.of(normal @ turn, inside))
+    found, stiffness = rotation_to_surface(normal @ turn, inside)
+    assert bool((torch.linalg.eigvalsh(stiffness) > 100).all())
     assert torch.allclose(turn @ found, torch.eye(3).double(), atol=0.02)
     few = torch.ones(3, 3, dtype=torch.bool)
-    assert torch.equal(rotation_to_surface(SmoothNormals.of(normal[:9], few)), torch.eye(3).double())
+    assert torch.equal(rotation_to_surface(normal[:9], few)[0], torch.eye(3).double())

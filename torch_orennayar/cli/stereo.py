@@ -26,12 +26,15 @@ def stereo(
     own_intensities: Annotated[
         bool, typer.Option("--own-intensities", help="Estimate the lights' intensities from the capture itself.")
     ] = False,
+    refine_lights: Annotated[
+        bool, typer.Option("--refine-lights", help="Replace lights of the file that the photographs contradict.")
+    ] = False,
     least_squares: Annotated[bool, typer.Option("--least-squares", help="Plain Lambertian least squares.")] = False,
     seed: Seed = 0,
 ) -> None:
     """Photographs under several lights in; normals, albedo, roughness, depth and a mesh out."""
     from ..io.capture import load_capture
-    from ..io.light_files import DIRECTIONS_FILE, write_lights
+    from ..io.light_files import DIRECTIONS_FILE, INTENSITIES_FILE, write_lights
     from ..io.results import RECONSTRUCTION_FILES, write_reconstruction
     from ..stereo.solver import photometric_stereo
 
@@ -49,23 +52,22 @@ def stereo(
         loaded.mask,
         model="lambert" if least_squares else model,
         robust=not least_squares,
+        refine_lights=refine_lights,
         valid=loaded.valid,
         seed=seed,
     )
     seconds = time.perf_counter() - ready
     loaded = replace(loaded, images=loaded.images[:0].clone())  # frees the memory of large captures for drawing
     numbers = write_reconstruction(output, found, loaded, title=capture.resolve().name, seconds=seconds).numbers
-    if "lights-found" in {note.code for note in loaded.notes}:
-        typer.echo(f"wrote {write_lights(output, DIRECTIONS_FILE, loaded.lights)} for the next time")
+    if found.lights is not None or "lights-found" in {note.code for note in loaded.notes}:
+        write_lights(output, INTENSITIES_FILE, loaded.intensities)
+        directions = loaded.lights if found.lights is None else found.lights
+        typer.echo(f"wrote {write_lights(output, DIRECTIONS_FILE, directions)} for the next time")
     for sentence in numbers["report"]:
         typer.echo(sentence)
     error = numbers["normal_error_degrees"]
     if error:
-        typer.echo(
-            f"normal error: mean {error['mean']:.2f}, median {error['median']:.2f} degrees over "
-            f"{error['pixels']} of {numbers['pixels']} pixels"
-        )
-    total = time.perf_counter() - begun
-    typer.echo(
-        f"{total:.1f} s in all: {ready - begun:.1f} s loading, {seconds:.1f} s solving; open {output / 'report.html'}"
-    )
+        of_all = f"{error['pixels']} of {numbers['pixels']} pixels"
+        typer.echo(f"normal error: mean {error['mean']:.2f}, median {error['median']:.2f} degrees over {of_all}")
+    total, loading = time.perf_counter() - begun, ready - begun
+    typer.echo(f"{total:.1f} s in all: {loading:.1f} s loading, {seconds:.1f} s solving; open {output / 'report.html'}")

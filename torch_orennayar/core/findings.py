@@ -25,9 +25,12 @@ CODES: dict[str, str] = {
     "faces-turned": "number of faces that were wound against their neighbours and were turned over",
     "one-sided": "the faces cannot be wound alike, as on a Möbius strip",
     # lights that were not given
-    "lights-found": "light directions were found from the photographs; value: degrees by which those of halves differ",
-    "lights-uncertain": "halves of the object show lights that differ by that many degrees, or show none",
-    "lights-unequal": "the lights found differ in brightness by that many percent and are not to be trusted",
+    "lights-found": "light directions were found from the photographs; value: their standard error in degrees",
+    "brightness-found": "so was the brightness of the lights; value: its standard error in percent",
+    "lights-uncertain": "that standard error is large; value: the same",
+    "lights-unequal": "lights taken as equally bright differ by that many percent and are not to be trusted",
+    "lights-refined": "lights that were given contradict the photographs and were replaced; value: mean degrees",
+    "lights-kept": "the photographs agree with the lights that were given; value: the largest difference in degrees",
     # choice of a model
     "model-chosen": "which model or kind of material was chosen, and why",
     # photometric stereo

@@ -15,7 +15,7 @@ from ..core.defaults import independent_of_defaults
 from ..core.errors import CaptureError, FileError, RangeError
 from ..core.findings import Finding
 from ..stereo.calibrate import find_ball, find_circle, light_directions, own_intensities
-from ..stereo.unknown_lights import find_lights
+from ..stereo.unknown_lights import search_lights, warn_of_doubts
 from .images import write_image
 from .light_files import (
     DIRECTIONS_FILE,
@@ -96,7 +96,8 @@ def load_capture(
     what is brighter than half the maximum; default: all pixels); ``ambient.*``, a photograph with all lights off, which
     is subtracted; ``Normal_gt.mat`` or ``normal_gt.npy``, true normals (H, W, 3).
 
-    Without a light file the lights are found from the photographs (`find_lights`), which a note says.
+    Without a light file the lights are found from the photographs (`find_lights`), taken as equally bright unless these
+    show that they are not; a note says so.
 
     Args:
         path: the folder, or an ``.lp`` file beside its images.
@@ -159,8 +160,9 @@ def load_capture(
     size = (images.shape[2], images.shape[3])
     inside, about_mask = read_mask(mask_file, size)
     if not len(listed.directions):
-        listed, found = _find_lights(folder, images, inside)
+        listed, brightness, found = _find_lights(folder, images, inside, valid)
         notes = (*notes, *found)
+        images, intensities = images.div_(brightness[:, :, None, None]), intensities * brightness
     return Capture(
         images=images,
         lights=listed.directions,
@@ -284,14 +286,18 @@ def _ball_directions(folder: Path, count: int, encoding: str) -> tuple[Tensor, F
     return light_directions(images, ball), Finding(text, "lights-from-ball", ball.radius)
 
 
-def _find_lights(folder: Path, images: Tensor, inside: Tensor) -> tuple[LightList, tuple[Finding, ...]]:
-    """Lights of a folder without a light file, from its photographs.
+def _find_lights(
+    folder: Path, images: Tensor, inside: Tensor, valid: Tensor | None
+) -> tuple[LightList, Tensor, tuple[Finding, ...]]:
+    """Lights of a folder without a light file, from its photographs, and their brightness (K, 1).
 
     Raises:
         FileError: the photographs do not show where their lights are.
     """
     try:
-        found = find_lights(images.float(), inside)
+        found = search_lights(images.float(), inside, "equal", valid)
+        if "lights-unequal" in {finding.code for finding in found.findings}:
+            found = search_lights(images.float(), inside, "unknown", valid)
     except CaptureError as error:
         raise FileError(
             str(folder),
@@ -299,7 +305,8 @@ def _find_lights(folder: Path, images: Tensor, inside: Tensor) -> tuple[LightLis
             got=f"no such file, and {error.got}",
             mend=f"write one line 'x y z' per image, or pass lights= (--lights); or {error.mend}",
         ) from error
-    return LightList([], found.directions), found.findings
+    warn_of_doubts(found)
+    return LightList([], found.directions), found.brightness[:, None], found.findings
 
 
 def _pair_with_lights(folder: Path, light_file: Path, others: tuple[Path, ...]) -> tuple[list[Path], LightList]:

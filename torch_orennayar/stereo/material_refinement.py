@@ -29,6 +29,8 @@ FINE_EXPONENT = 0.025
 """Step on both sides of the best exponent; set by hand."""
 FINE_ROUGHNESS = math.radians(4)
 """Step on both sides of the best roughness, radians: half a step between levels; set by hand."""
+SMOOTH = math.radians(1)
+"""Least roughness, radians, of a joint search, as nothing depends on it at 0; set by hand."""
 QUARTERS = 4
 """Parts of the pixels whose roughnesses are compared; set by hand."""
 MIN_LIGHTS_ROUGHNESS = 5
@@ -52,7 +54,7 @@ def refine(sample: PixelSample, material: Material) -> Material:
     costs: dict[float, float] = {}
 
     def visit(value: float, start: PixelFit | StartName, steps: int) -> None:
-        trial = _with_parameter(material, value)
+        trial = with_number(material, value)
         fits[value] = robust_fit.fit(sample, trial, start=start, steps=steps)
         predicted = robust_fit.predict(fits[value], sample.directions, trial)
         costs[value] = capped_error(sample.grey, predicted, mean, lit)
@@ -68,11 +70,21 @@ def refine(sample: PixelSample, material: Material) -> Material:
     found = _parabola(costs)
     if material.model == "lambert":  # what highlights and shadows leave open is not taken for glaze
         found = _smallest_sufficient(costs, found)
-    return _with_parameter(material, found)
+    return with_number(material, found)
 
 
-def _with_parameter(material: Material, value: float) -> Material:
-    """The material with another exponent of Minnaert's law, if it is Lambert's, else with another roughness."""
+def number_of(material: Material) -> float:
+    """The exponent of Minnaert's law, if it is Lambert's material, else the roughness."""
+    return material.minnaert_exponent if material.model == "lambert" else material.roughness
+
+
+def number_range(material: Material) -> tuple[float, float]:
+    """Least and greatest value of that number."""
+    return (1.0, MINNAERT_EXPONENTS[-1]) if material.model == "lambert" else (SMOOTH, ROUGHNESSES[-1])
+
+
+def with_number(material: Material, value: float) -> Material:
+    """The material with another value of that number."""
     if material.model == "lambert":
         return replace(material, minnaert_exponent=value)
     return replace(material, roughness=value)

@@ -11,6 +11,7 @@ from torch import Tensor
 from ..core.checks import check_unit
 from ..shading.precision import working_dtype
 from .material import LightDirections
+from .robust_stats import MISSING
 
 SAMPLE_PIXELS = 2500
 """Pixels of a sample on which the material, its numbers and the light between parts of a surface are decided. Set by
@@ -72,19 +73,21 @@ def gather_reduced(images: Tensor, inside: Tensor, pixels: int) -> tuple[Tensor,
     """Grey observations of the photographs reduced to about so many ``pixels`` of the object, on the processor.
 
     Args:
-        images: (K, C, H, W); outside the object they may hold any values.
+        images: (K, C, H, W); outside the object they may hold any values. Where one is `MISSING`, so is what it is
+            reduced to.
         inside: (H, W) bool, the object.
         pixels: about how many it has afterwards; small objects are not enlarged.
 
     Returns:
-        Observations (P, K) float64 over their mean, and where they lie, (h, w) bool.
+        Observations (P, K) float64, and where they lie, (h, w) bool.
     """
     factor = max(1, round((int(inside.sum()) / pixels) ** 0.5))
     share = F.avg_pool2d(inside.double()[None], factor)[0]
     small = share > 0.5
     seen = []
     for image in images:
-        grey = torch.where(inside, image.double().mean(0), 0.0)
-        seen.append((F.avg_pool2d(grey[None], factor)[0] / share.clamp_min(1e-9))[small])
-    observed = torch.stack(seen, 1).cpu()
-    return observed / observed.mean().clamp_min(1e-12), small.cpu()
+        grey = torch.where(inside, image.double().mean(0), 0.0)[None]
+        missing = F.max_pool2d((grey == MISSING).double(), factor)[0] > 0
+        reduced = F.avg_pool2d(grey, factor)[0] / share.clamp_min(1e-9)
+        seen.append(torch.where(missing, MISSING, reduced)[small])
+    return torch.stack(seen, 1).cpu(), small.cpu()

@@ -220,7 +220,7 @@ def _fit_chunk(
             matrix[axis][axis] = matrix[axis][axis] + LOBE_RIDGE
             right[axis] = right[axis] - LOBE_RIDGE * lobes[:, axis - 3]
         step = _nonnegative_step(matrix, right, lobes)
-        normal = _tilted(normal, tangents, torch.stack(step[:2], 1))
+        normal = tilted(normal, tangents, torch.stack(step[:2], 1))
         albedo = (albedo + step[2][:, None]).clamp_min(1e-6)
         if count:
             lobes = (lobes + torch.stack(step[3:], 1)).clamp_min(0)
@@ -276,7 +276,7 @@ def _nonnegative_step(matrix: list[list[Tensor]], right: list[Tensor], lobes: Te
     return solve_symmetric(matrix, right) if lobes.shape[1] else step
 
 
-def _tilted(normal: Tensor, tangents: tuple[Tensor, Tensor], angles: Tensor) -> Tensor:
+def tilted(normal: Tensor, tangents: tuple[Tensor, Tensor], angles: Tensor) -> Tensor:
     """Normals tilted by two tangent angles (P, 2), at most by `MAX_TILT`."""
     angles = angles * (MAX_TILT / angles.norm(dim=1, keepdim=True).clamp_min(MAX_TILT))
     return camera_facing(normal + tangents[0] * angles[:, :1] + tangents[1] * angles[:, 1:])

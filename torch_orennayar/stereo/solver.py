@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import torch
 from torch import Tensor
 
-from ..core.checks import check_floating, check_mask
+from ..core.checks import check_floating
 from ..core.defaults import independent_of_defaults
 from ..core.errors import CaptureError, ShapeError
 from ..core.findings import Finding
@@ -16,6 +17,7 @@ from ..reflectance.models import get_model
 from .capture_checks import check_directions, check_shapes, find_dark_pixels, find_valid, leave_out
 from .interreflection import choose_interreflected_light
 from .light_frame import check_light_frame
+from .light_knowledge import Intensities, know_lights
 from .material_choice import choose_material, judge_roughness_map
 from .material_refinement import MIN_LIGHTS_HELD_OUT
 from .material_selection import MaterialChoice
@@ -25,7 +27,6 @@ from .pixel_sample import SAMPLE_PIXELS, PixelSample
 from .robust_stats import Used
 from .row_bands import solve_bands
 from .solved_maps import SolvedMaps
-from .unknown_lights import find_lights
 
 WHITE = 1.05
 """Albedo above which a pixel is reported as brighter than white; the excess over 1 allows for noise. Set by hand."""
@@ -40,10 +41,12 @@ def photometric_stereo(
     *,
     model: str = "auto",
     robust: bool = True,
+    intensities: Intensities | Tensor = "equal",
+    refine_lights: bool = False,
     valid: Tensor | None = None,
     seed: int = 0,
 ) -> Reconstruction:
-    """Recover normals, albedo, roughness and highlights from images under known distant lights, orthographic view.
+    """Recover normals, albedo, roughness and highlights from images under distant lights, orthographic view.
 
     The robust solver starts from least squares on each pixel's observations of middle rank that are not in shadow, and
     continues with Gauss-Newton steps under Geman-McClure weights: for ``"lambert"`` on those observations (which leaves
@@ -64,16 +67,20 @@ def photometric_stereo(
     float64 is solved in float64, all else in float32. The same seed gives the same result on the same machine.
 
     Args:
-        images: (K, C, H, W) or (B, K, C, H, W) linear light, intensities divided out; normals come from
-            the mean of the channels.
+        images: (K, C, H, W) or (B, K, C, H, W) linear light; normals come from the mean of the channels.
         lights: (K, 3) or (B, K, 3) unit directions to the lights, camera frame; of near lights maps of each
             pixel's directions, (K, 3, H, W) or (B, K, 3, H, W), as `near_light_stereo` makes them. None where they are
-            not known: they are found from the images, by `find_lights`, which needs equally bright lights and a mask.
+            not known: they are found from the images, by `find_lights`, which needs a mask.
         mask: (1, H, W) or (B, 1, H, W) bool; default all pixels. Outside it images may hold any values.
         model: ``"auto"``, a name in ``MODELS``, which is then used without lobes, or ``"network"``: normals by a small
             network trained on synthetic pixels (12 lights or more), with Lambert's albedo, solved in float32.
         robust: ``False`` is plain least squares over all observations, for ``"lambert"`` only; pixels that fewer than
             three lights reach then keep what it gives, else they continue the normals about them.
+        intensities: ``"equal"``, also where images were divided by the lights' brightness; the brightness itself, (K,)
+            or (K, C), with B in front in a batch; or ``"unknown"``: it is found, with lights that are given by
+            `own_intensities`, else by `find_lights`.
+        refine_lights: whether lights that are given are checked against the images, and replaced where these contradict
+            them by degrees; needs a mask, as `find_lights`.
         valid: (K, 1, H, W) or (B, K, 1, H, W) bool, or with C channels: the samples that count, such as
             ``Capture.valid``. Default: all; but where images reach 1, none is brighter and one in a thousand samples
             is exactly 1, these are taken as clipped at full scale.
@@ -105,15 +112,31 @@ def photometric_stereo(
     check_floating(images=images, lights=images if lights is None else lights)
     _check_model(model, robust)
     if images.ndim == 5:
-        return _solve_batch(images, lights, mask, valid, model, robust, seed)
-    if lights is None:
-        known = check_mask(mask, images)
-        found_lights = find_lights(images, known)
+        options = {"model": model, "robust": robust, "refine_lights": refine_lights, "seed": seed}
+        return _solve_batch(images, lights, mask, intensities, valid, options)
+    given = lights is not None and isinstance(intensities, str) and intensities == "equal"
+    if images.ndim == 4 and (refine_lights or not given):
+        known = know_lights(images, lights, mask, intensities=intensities, refine=refine_lights, valid=valid, seed=seed)
         solved = photometric_stereo(
-            images, found_lights.directions.to(images), known, model=model, robust=robust, valid=valid, seed=seed
+            known.images, known.lights, mask, model=model, robust=robust, valid=known.valid, seed=seed
         )
-        report = (*found_lights.findings, *solved.report)
-        return replace(solved, lights=found_lights.directions.to(images.device), report=report)
+        found_or_none = known.lights.float() if lights is None or refine_lights else None
+        report = (*known.findings, *solved.report)
+        return replace(solved, lights=found_or_none, intensities=known.intensities, report=report)
+    assert lights is not None
+    return _solve_known(images, lights, mask, model, robust, valid, seed)
+
+
+def _solve_known(
+    images: Tensor,
+    lights: Tensor,
+    mask: Tensor | None,
+    model: str,
+    robust: bool,
+    valid: Tensor | None,
+    seed: int,
+) -> Reconstruction:
+    """Solve one capture whose lights are known and equally bright."""
     inside = check_shapes(images, lights, mask)
     images, clipped = leave_out(images, find_valid(images, inside, valid), inside)
     dark = find_dark_pixels(images, inside)
@@ -212,14 +235,16 @@ def _solve_batch(
     images: Tensor,
     lights: Tensor | None,
     mask: Tensor | None,
+    intensities: Intensities | Tensor,
     valid: Tensor | None,
-    model: str,
-    robust: bool,
-    seed: int,
+    options: dict[str, Any],
 ) -> Reconstruction:
     """Solve one capture after the other: each has its own model and roughness."""
     batch = len(images)
-    for name, value, axes in (("lights", lights, (3, 5)), ("mask", mask, (4,)), ("valid", valid, (5,))):
+    shared = intensities if isinstance(intensities, str) else None
+    each = None if isinstance(intensities, str) else intensities
+    given = (("lights", lights, (3, 5)), ("mask", mask, (4,)), ("valid", valid, (5,)), ("intensities", each, (2, 3)))
+    for name, value, axes in given:
         if value is not None and (value.ndim not in axes or len(value) != batch):
             raise ShapeError(
                 name, expected=f"{batch} captures in a batch", got=str(tuple(value.shape)), mend="stack one per capture"
@@ -229,10 +254,9 @@ def _solve_batch(
             images[b],
             None if lights is None else lights[b],
             None if mask is None else mask[b],
-            model=model,
-            robust=robust,
+            intensities=each[b] if each is not None else shared or "equal",
             valid=None if valid is None else valid[b],
-            seed=seed,
+            **options,
         )
         for b in range(batch)
     ]

@@ -1,87 +1,136 @@
-"""The rotation that makes a field of normals that of a surface: one whose slopes come from one height."""
+"""The rotation that makes a field of normals that of a surface: one whose slopes come from one height.
+
+Around any square the slopes of a height add up to nothing. What two opposite sides contribute, and what the other two
+do, must cancel (integrability, Yuille & Snow 1997). Squares of several sizes are taken: noise of single pixels averages
+out along their sides, and edges of the object lie across few of them.
+"""
 
 from __future__ import annotations
-
-from typing import NamedTuple
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-BLUR = 2
-"""Half width of the box that normals are averaged over, pixels: single pixels hold more noise than bending. Set by
-hand."""
-STEP = 2
-"""Pixels on either side over which the change of a normal is measured; set by hand."""
-LEAST_BEND = 0.02
-"""Change of a normal per pixel below which a pixel says little of the rotation; set by hand."""
-SCALE = 0.15
-"""Integrability over bending at which a pixel counts as an edge of the object; set by hand."""
+from .robust_stats import MAD_TO_SIGMA
+
+SIDES = (4, 8, 16)
+"""Pixels along the sides of the squares, on photographs reduced to some thousand pixels; set by hand."""
+LEAST_FACING = 0.1
+"""Cosine to the view below which slopes are too steep to count; set by hand."""
+LEAST_SCALE = 0.03
+"""Least difference, as a share of what opposite sides contribute, that counts as noise; set by hand."""
+STEPS = 10
+"""Newton steps at most, each with the squares' noise of the one before; set by hand."""
+MAX_STEP, HALVINGS, SETTLED = 0.1, 5, 1e-3
+"""Radians of a step at most, times that it is halved, and radians of the last one; set by hand."""
+DIFFERENCE = 0.02
+"""Radians over which the curvature of the misfit is taken; set by hand."""
+LEAST_STIFFNESS = 1.0
+"""1 / radians**2 that is known of a rotation at least; set by hand."""
 
 
-class SmoothNormals(NamedTuple):
-    """Pixels away from the outline.
+def rotation_to_surface(normal: Tensor, inside: Tensor) -> tuple[Tensor, Tensor]:
+    """The rotation after which normals are most nearly those of a surface, and how well it is determined.
 
-    Attributes:
-        normal: (P, 3) averaged.
-        right: (P, 3) its change per pixel to the right.
-        up: (P, 3) the same upward.
+    It is searched near the identity. Where no square lies inside it is the identity.
+
+    Args:
+        normal: (P, 3) unit, float64.
+        inside: (H, W) bool, where these lie.
+
+    Returns:
+        A rotation (3, 3), applied from the right, and the inverse covariance of its axis times angle (3, 3), 1 /
+        radians**2, for squares that do not overlap.
     """
-
-    normal: Tensor
-    right: Tensor
-    up: Tensor
-
-    @staticmethod
-    def of(normal: Tensor, inside: Tensor) -> SmoothNormals:
-        """Of unit normals (P, 3) of the pixels in ``inside`` (H, W) bool."""
-        field = normal.new_zeros(3, *inside.shape)
-        field[:, inside] = normal.T
-        box = normal.new_full((1, 1, 2 * BLUR + 1, 2 * BLUR + 1), 1 / (2 * BLUR + 1) ** 2)
-        whole = F.conv2d(inside.to(normal)[None, None], box, padding=BLUR)[0, 0] > 0.999
-        field = F.conv2d(field[:, None], box, padding=BLUR)[:, 0]
-        height, width = inside.shape
-        rows, columns = slice(STEP, height - STEP), slice(STEP, width - STEP)
-        early, late = slice(0, -2 * STEP), slice(2 * STEP, None)
-        sides = ((rows, late), (rows, early), (early, columns), (late, columns))
-        kept = whole[rows, columns].clone()
-        for side in sides:
-            kept &= whole[side]
-        right, left, above, below = (field[:, side[0], side[1]][:, kept] for side in sides)
-        middle = field[:, rows, columns][:, kept]
-        return SmoothNormals(middle.T, (right - left).T / (2 * STEP), (above - below).T / (2 * STEP))
+    rotation = torch.eye(3, dtype=normal.dtype)
+    stiffness = LEAST_STIFFNESS * rotation
+    for _ in range(STEPS):
+        turned = normal @ rotation
+        scales = _scales(turned, inside)
+        slope, stiffness = _slope(turned, inside, scales), _stiffness(turned, inside, scales)
+        step = -torch.linalg.solve(stiffness, slope)
+        step = _shortened(turned, inside, scales, step * min(1.0, MAX_STEP / max(float(step.norm()), 1e-12)))
+        rotation = rotation @ _rotation(step)
+        if float(step.norm()) < SETTLED:
+            break
+    return rotation, stiffness
 
 
-def rotation_to_surface(field: SmoothNormals) -> Tensor:
-    """The rotation (3, 3), applied from the right, after which the normals are most nearly those of a surface.
-
-    It is searched near the identity, by the integrability of Yuille & Snow 1997 over the bending of each pixel; edges
-    count little. Without pixels it is the identity.
-    """
-    turn = torch.zeros(3, dtype=field.normal.dtype, requires_grad=True)
-    if not len(field.normal):
-        return torch.eye(3, dtype=field.normal.dtype)
-    optimiser = torch.optim.LBFGS([turn], lr=0.5, max_iter=60, line_search_fn="strong_wolfe")
-
-    @torch.enable_grad()
-    def misfit() -> Tensor:
-        optimiser.zero_grad()
-        square = _curl(field, _rotation(turn)).square()
-        cost = (square / (square + SCALE**2)).mean()
-        cost.backward()
-        return cost
-
-    optimiser.step(misfit)
-    return _rotation(turn.detach())
+def _shortened(normal: Tensor, inside: Tensor, scales: list[float], step: Tensor) -> Tensor:
+    """The step, halved until the misfit falls; 0 where it does not."""
+    here = float(_misfit(normal, inside, scales))
+    for _ in range(HALVINGS):
+        if float(_misfit(normal @ _rotation(step), inside, scales)) < here:
+            return step
+        step = step / 2
+    return torch.zeros_like(step)
 
 
-def _curl(field: SmoothNormals, rotation: Tensor) -> Tensor:
-    """How far the turned normals are from those of a surface, over how much they bend, (P,)."""
-    normal, right, up = (part @ rotation for part in field)
-    first = normal[:, 2] * up[:, 0] - normal[:, 0] * up[:, 2]
-    second = normal[:, 2] * right[:, 1] - normal[:, 1] * right[:, 2]
-    bend = (right.square().sum(1) + up.square().sum(1)).sqrt()
-    return (first - second) / (bend + LEAST_BEND)
+def _slope(normal: Tensor, inside: Tensor, scales: list[float], turn: Tensor | None = None) -> Tensor:
+    """Derivative of the misfit by a further turn, (3,), after ``turn``."""
+    start = normal.new_zeros(3) if turn is None else turn
+    with torch.enable_grad():
+        moved = start.clone().requires_grad_(True)
+        cost = _misfit(normal @ _rotation(moved), inside, scales)
+        if not cost.requires_grad:
+            return torch.zeros_like(start)
+        (slope,) = torch.autograd.grad(cost, moved)
+    return slope
+
+
+def _stiffness(normal: Tensor, inside: Tensor, scales: list[float]) -> Tensor:
+    """Curvature of the misfit by central differences, made positive."""
+    steps = DIFFERENCE * torch.eye(3, dtype=normal.dtype)
+    rows = [_slope(normal, inside, scales, step) - _slope(normal, inside, scales, -step) for step in steps]
+    curvature = torch.stack(rows) / (2 * DIFFERENCE)
+    values, vectors = torch.linalg.eigh((curvature + curvature.T) / 2)
+    stiffness: Tensor = vectors @ values.clamp_min(LEAST_STIFFNESS).diag() @ vectors.T
+    return stiffness
+
+
+def _scales(normal: Tensor, inside: Tensor) -> list[float]:
+    """Noise of the squares of each size."""
+    scales = []
+    for side in SIDES:
+        gap = _gaps(normal.detach(), inside, side).abs()
+        scales.append(MAD_TO_SIGMA * float(gap.median()) + LEAST_SCALE if len(gap) else 1.0)
+    return scales
+
+
+def _misfit(normal: Tensor, inside: Tensor, scales: list[float]) -> Tensor:
+    """Robust cost of the squares of all sizes, each size as if they did not overlap."""
+    cost = normal.new_zeros(())
+    for side, scale in zip(SIDES, scales, strict=True):
+        gap = _gaps(normal, inside, side)
+        if len(gap):
+            square = gap.square()
+            count = len(normal) / (side**2 * len(SIDES))
+            cost = cost + 0.5 * count * (square / (square + scale**2)).mean()
+    return cost
+
+
+def _gaps(normal: Tensor, inside: Tensor, side: int) -> Tensor:
+    """How far the sides of squares are from cancelling, over what they contribute, (S,)."""
+    places = inside.flatten().nonzero().flatten()
+    field = normal.new_zeros(3, inside.numel()).index_copy(1, places, normal.T).view(3, *inside.shape)
+    facing = inside & (field[2] > LEAST_FACING).detach()
+    right, up = (-field[axis] / field[2].clamp_min(LEAST_FACING) * facing for axis in (0, 1))
+    if min(inside.shape) <= side:
+        return normal.new_zeros(0)
+    rows, columns = _sums(right, side), _sums(up.T, side).T
+    whole_row = _sums(facing.to(normal), side) > side - 0.5
+    whole_column = (_sums(facing.T.to(normal), side) > side - 0.5).T
+    whole = whole_row[:-side] & whole_row[side:] & whole_column[:, :-side] & whole_column[:, side:]
+    across = (rows[:-side] - rows[side:])[whole] / side
+    along = (columns[:, side:] - columns[:, :-side])[whole] / side
+    size = across.square() + along.square()
+    return (across - along) / (size + size.detach().median()).sqrt() if len(size) else size
+
+
+def _sums(values: Tensor, side: int) -> Tensor:
+    """Integrals (H, W - side) along rows from every pixel to the one ``side`` further, by the trapezoidal rule."""
+    total = F.pad(values.cumsum(1), (1, 0))
+    return total[:, side + 1 :] - total[:, : -side - 1] - 0.5 * (values[:, :-side] + values[:, side:])
 
 
 def _rotation(turn: Tensor) -> Tensor:

@@ -1,62 +1,63 @@
-"""Directions of distant lights that nobody measured, from the photographs and the object's outline.
+"""Directions and brightness of distant lights that nobody measured, from the photographs and the object's outline.
 
-The inflated outline gives the first normals; lights and normals are then found from each other by robust regression,
-which leaves a linear ambiguity: any invertible 3 x 3 matrix between them. That all lights are equally bright fixes it
-up to a rotation (Hayakawa 1994), and that the normals are those of a surface fixes the rotation.
+A first factorisation leaves any linear map between lights and normals open. What resolves it: that the lights are
+equally bright (Hayakawa 1994), where they are; how a rough or shiny surface differs from a Lambertian one, which a
+linear map does not keep; and, for the rotation that is left, that the normals are those of a surface (Yuille & Snow
+1997). How well all that determines the lights is computed with them, and lights that it does not determine are refused.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import math
+from typing import Literal, NamedTuple
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor
+from torch.linalg import LinAlgError  # type: ignore[attr-defined]
 
 from ..core.checks import check_floating, check_mask
 from ..core.defaults import independent_of_defaults
-from ..core.errors import CaptureError, ShapeError
+from ..core.errors import CaptureError, RangeError, ShapeError
 from ..core.findings import Finding
 from ..core.progress import track
 from ..core.warn import warn
-from ..geometry.height_field import silhouette_normals
-from .linear_systems import solve_symmetric
+from .capture_checks import find_valid, leave_out
+from .light_adjustment import LightGuess, Observed, adjust, standard_errors
+from .light_factors import factor
+from .material import Material
+from .material_refinement import with_number
+from .material_selection import AUTO_MODEL, MIN_LIGHTS_LOBES
 from .pixel_sample import gather_reduced
-from .robust_fit import CHUNK
-from .robust_stats import (
-    BRIGHT,
-    MAD_TO_SIGMA,
-    MIDDLE_RANKS,
-    SHADOW,
-    ascending,
-    between_ranks,
-    geman_mcclure,
-    mean_brightness,
-    median_rank,
-    noise_level,
-)
-from .surface_rotation import SmoothNormals, rotation_to_surface
+from .surface_rotation import rotation_to_surface
 
-PIXELS = 20_000
+PIXELS = 2500
 """Pixels of the reduced photographs, about, that the lights are found from; set by hand, for seconds."""
 MIN_LIGHTS = 6
 """Fewest photographs: equal brightness gives one equation for each, and the matrix that it fixes has six unknowns."""
-ROUNDS, LATER_ROUNDS = 6, 3
-"""Alternations between lights and normals before the ambiguity is resolved, and with it. Set by hand."""
-REWEIGHTINGS = 4
-"""Of each robust regression; set by hand."""
-BRIGHTEST_LEFT_OUT = 0.85
-"""Quantile of a photograph's pixels above which they are highlights or spoiled by them; set by hand."""
-LEAST_FACING = 0.1
-"""Cosine to the view by which the brightness of the outline's normals is divided at least; set by hand."""
+MIN_PIXELS = 200
+"""Fewest pixels of an object whose outline says anything of its shape; set by hand."""
+EQUAL, USUAL, ANY = 0.05, 0.2, 2.0
+"""Standard deviation of the logarithm of the brightness that is expected of equal lights, also for what no model
+explains, of lights of a kind, and of any lights, where it is to decide nothing. Set by hand."""
+ROUGHNESS, EXPONENT = math.radians(20), 1.05
+"""Roughness, radians, and exponent of falloff that the search starts from; set by hand."""
+HIGHLIGHTS = (8, 64)
+"""Exponents of the two highlights that every pixel may have, a broad and a sharp one; set by hand."""
+BEGIN, CONTINUE = 8, 5
+"""Rounds of adjustment before the surface is turned for the first time, and after each time; set by hand."""
+TURNS = 2
+"""Times that the surface is turned; set by hand."""
+ROUGHER = 0.8
+"""Share of the error of falloff below which that of roughness must lie to be believed: on glossy objects both fit
+about as well, and on rough ones it is half. Set by hand."""
 BORDER_SHARE = 0.25
 """Share of the outline that may lie on the picture's border, where it is none of the object's; set by hand."""
-UNEQUAL = 0.1
-"""Standard deviation of the logarithm of the lights' brightness from which they are not equally bright; set by hand."""
-UNCERTAIN = 3.0
-"""Degrees of `FoundLights.uncertainty` from which a warning is issued; set by hand."""
-MAX_SPREAD = 100.0
-"""Condition number of the six equations of equal brightness above which the lights do not fix them; set by hand."""
+UNEQUAL = 0.05
+"""Standard deviation of the logarithm of the brightness from which lights are not equal. Set by hand: where it is 0.17,
+0.08 and more is found when it is released, where it is 0 up to 0.025."""
+UNCERTAIN, UNKNOWN = 5.0, 20.0
+"""Degrees of `FoundLights.uncertainty` from which a warning is issued, and lights are refused; set by hand."""
 
 
 class FoundLights(NamedTuple):
@@ -64,40 +65,53 @@ class FoundLights(NamedTuple):
 
     Attributes:
         directions: (K, 3) float32 unit, camera frame.
-        brightness: (K,) float32, of mean 1, as the fit finds it: about 1 where the lights are equally bright.
-        uncertainty: degrees by which the lights of one half of the object differ from those of the whole, RMS over
-            halves by place and by normal; infinite where a half does not determine them.
+        brightness: (K,) float32, of geometric mean 1; of equal lights within a few percent of it.
+        uncertainty: standard error of a direction, degrees, RMS over the lights.
+        brightness_uncertainty: standard error of a brightness, as a share.
         findings: what was assumed and what stays open.
     """
 
     directions: Tensor
     brightness: Tensor
     uncertainty: float
+    brightness_uncertainty: float
     findings: tuple[Finding, ...]
 
 
 @torch.no_grad()
 @independent_of_defaults
-def find_lights(images: Tensor, mask: Tensor) -> FoundLights:
-    """Find the directions of distant, equally bright lights from the photographs of an object with a visible outline.
+def find_lights(
+    images: Tensor,
+    mask: Tensor,
+    *,
+    intensities: Literal["equal", "unknown"] = "equal",
+    valid: Tensor | None = None,
+) -> FoundLights:
+    """Find directions and brightness of distant lights from photographs of an object with a visible outline.
 
     The object is taken as convex on the whole: a hollow one gives lights from the other side. Not differentiable.
 
     Args:
         images: (K, C, H, W) linear light, K at least 6.
         mask: (1, H, W) bool, the object; its edge is taken as the object's outline.
+        intensities: ``"equal"`` where the lights are equally bright or images were divided by their brightness;
+            ``"unknown"``: it is found too, from how the surface differs from a Lambertian one, which needs a rough or
+            shiny surface, and for a shiny one 12 lights.
+        valid: the samples that count, as for `photometric_stereo`.
 
     Returns:
         The `FoundLights`.
 
     Raises:
         ShapeError: other shapes or types.
-        CaptureError: too few photographs, an outline that is cut by the picture's border, lights that do not determine
-            each other.
+        RangeError: other ``intensities``.
+        CaptureError: too few photographs, an outline that is cut by the picture's border, photographs that do not
+            determine their lights: of a surface too flat or too plain, or lights on one ring or one side.
 
     Source:
         Hayakawa 1994, "Photometric stereo under a light source with arbitrary motion"; Yuille & Snow 1997, "Shape and
-        albedo from multiple images using integrability".
+        albedo from multiple images using integrability"; Georghiades 2003, "Incorporating the Torrance and Sparrow
+        model of reflectance in uncalibrated photometric stereo", on what highlights resolve.
 
     Example:
         >>> import torch, torch_orennayar as ton
@@ -109,56 +123,87 @@ def find_lights(images: Tensor, mask: Tensor) -> FoundLights:
         >>> (found.directions * lights).sum(1).min().item() > 0.99
         True
     """
+    found = search_lights(images, mask, intensities, valid)
+    warn_of_doubts(found)
+    return found
+
+
+def warn_of_doubts(found: FoundLights) -> None:
+    """Warn of what speaks against the lights."""
+    for finding in found.findings:
+        if finding.code in ("lights-uncertain", "lights-unequal"):
+            warn(finding)
+
+
+def search_lights(images: Tensor, mask: Tensor, intensities: str, valid: Tensor | None) -> FoundLights:
+    """`find_lights` without warnings."""
     check_floating(images=images)
     if images.ndim != 4:
         raise ShapeError("images", expected="(K, C, H, W)", got=str(tuple(images.shape)), mend="stack the images")
+    if intensities not in ("equal", "unknown"):
+        raise RangeError("intensities", expected="'equal' or 'unknown'", got=repr(intensities), mend="choose one")
     inside = check_mask(mask, images)
     _check_outline(inside[0], len(images))
+    images, _ = leave_out(images, find_valid(images, inside[0], valid), inside[0])
     grey, small = gather_reduced(images, inside[0], PIXELS)
-    seen = _Observations.of(grey)
-    outline = silhouette_normals(small[None])[:, small].T.to(grey)
-    scaled = outline * (grey.mean(1, keepdim=True) / outline[:, 2:].clamp_min(LEAST_FACING))
-    lights = seen.regress_lights(scaled)
-    for _ in track(range(ROUNDS), "finding lights", ROUNDS):
-        scaled = seen.regress_normals(lights)
-        lights = seen.regress_lights(scaled)
-    spread = lights.new_zeros(())
-    for _ in track(range(LATER_ROUNDS), "turning lights", LATER_ROUNDS):
-        root = _equal_brightness(lights)
-        lights, scaled = lights @ root, scaled @ torch.linalg.inv(root)
-        turn = rotation_to_surface(SmoothNormals.of(F.normalize(scaled, dim=1), small))
-        lights = lights @ turn
-        brightness = lights.norm(dim=1)
-        spread = MAD_TO_SIGMA * (brightness.log() - brightness.log().median()).abs().median()
-        scaled = seen.regress_normals(F.normalize(lights, dim=1))
-        lights = seen.regress_lights(scaled)
+    equal = intensities == "equal"
+    try:
+        guess, errors = _solve(grey, small, factor(grey, small), EQUAL if equal else ANY)
+    except LinAlgError as error:  # equations without a solution
+        raise _undetermined(math.inf, equal=equal) from error
+    uncertainty = math.degrees(errors[0])
+    if not uncertainty < UNKNOWN:  # or it is not a number
+        raise _undetermined(uncertainty, equal=equal)
+    return _describe(guess, errors, unequal=_unequal(grey, guess) if equal else None)
+
+
+def _solve(grey: Tensor, inside: Tensor, lights: Tensor, spread: float) -> tuple[LightGuess, tuple[float, float]]:
+    """Lights and pixels in the material that explains them better, and the standard errors of the lights."""
+    tried = []
+    for material in track(_materials(len(lights)), "comparing surfaces"):
+        observed = Observed(grey, "lit", spread)
+        guess = adjust(observed, _begin(observed, lights, material), BEGIN)
+        tried.append((observed, guess))
+    (observed, guess), rough = tried
+    rough_is_better = rough[0].error(rough[1]) < ROUGHER * observed.error(guess)
+    if rough_is_better:
+        observed, guess = rough
+    stiffness = None
+    for _ in track(range(TURNS), "turning lights", TURNS):
+        rotation, stiffness = rotation_to_surface(guess.pixels.normal, inside)
+        # Highlights are too coarse a model to trust what they say of the rotation; one roughness is not.
+        guess = adjust(observed, guess.turned(rotation), CONTINUE, stiffness if rough_is_better else None)
+    assert stiffness is not None  # there is at least one turn
+    return guess, standard_errors(observed, guess, stiffness)
+
+
+def _materials(lights: int) -> tuple[Material, Material]:
+    """Lambert's with falloff and a rough one; both with highlights where there are lights enough to see them."""
+    lobes = HIGHLIGHTS if lights >= MIN_LIGHTS_LOBES else ()
+    smooth = Material(exponents=lobes)
+    return with_number(smooth, EXPONENT), Material(AUTO_MODEL, ROUGHNESS, exponents=lobes)
+
+
+def _begin(observed: Observed, lights: Tensor, material: Material) -> LightGuess:
+    """The pixels under the first lights."""
     brightness = lights.norm(dim=1)
+    brightness = brightness / brightness.log().mean().exp()
+    if observed.spread == EQUAL:
+        brightness = torch.ones_like(brightness)
     directions = F.normalize(lights, dim=1)
-    uncertainty = _uncertainty(directions, seen, small)
-    findings = _describe(len(lights), float(spread), uncertainty)
-    return FoundLights(directions.float(), (brightness / brightness.mean()).float(), uncertainty, tuple(findings))
-
-
-def _uncertainty(directions: Tensor, seen: _Observations, inside: Tensor) -> float:
-    """How far the lights of halves of the object are from ``directions``, degrees."""
-    scaled = seen.regress_normals(directions)
-    row, column = inside.nonzero().unbind(1)
-    square = []
-    for place in (row, column, *(scaled[:, axis] / scaled.norm(dim=1).clamp_min(1e-12) for axis in (0, 1))):
-        first = place <= place.median()
-        for half in (first, ~first):
-            part = seen.part(half)
-            try:
-                lights = part.regress_lights(part.regress_normals(part.regress_lights(scaled[half])))
-                lights = F.normalize(lights @ _equal_brightness(lights), dim=1)
-            except (CaptureError, RuntimeError):  # a half that determines nothing; a singular system
-                return float("inf")
-            square.append((lights * directions).sum(1).clamp(-1, 1).acos().rad2deg().mean().square())
-    return float(torch.stack(square).mean().sqrt())
+    pixels = observed.fit(directions, brightness, material, None, 10)
+    return LightGuess(directions, brightness, material, pixels)
 
 
 def _check_outline(inside: Tensor, count: int) -> None:
     """Refuse what does not show where its lights are."""
+    if int(inside.sum()) < MIN_PIXELS:
+        raise CaptureError(
+            "mask",
+            expected=f"at least {MIN_PIXELS} pixels, where the lights are not known",
+            got=str(int(inside.sum())),
+            mend="give a mask of the whole object, or the lights",
+        )
     if count < MIN_LIGHTS:
         raise CaptureError(
             "images",
@@ -180,117 +225,56 @@ def _check_outline(inside: Tensor, count: int) -> None:
         )
 
 
-class _Observations(NamedTuple):
-    """Grey observations and those of them that count.
-
-    Attributes:
-        grey: (P, K) float64.
-        middle: (P, K) 1 for observations of a pixel that are of middle rank and in light.
-        dim: (P, K) 1 for pixels of a photograph that are in light and not among its brightest.
-    """
-
-    grey: Tensor
-    middle: Tensor
-    dim: Tensor
-
-    @staticmethod
-    def of(grey: Tensor) -> _Observations:
-        """Which of them count does not depend on lights and normals."""
-        bright = ascending(grey.T.contiguous())[:, min(int(BRIGHTEST_LEFT_OUT * len(grey)), len(grey) - 1)]
-        level = ascending(grey)[:, min(int(BRIGHT * grey.shape[1]), grey.shape[1] - 1), None]
-        dim = ((grey <= bright) & (grey > SHADOW * level)).to(grey)
-        return _Observations(grey, between_ranks(grey, *MIDDLE_RANKS), dim)
-
-    def part(self, pixels: Tensor) -> _Observations:
-        """Those of some pixels, (P,) bool."""
-        return _Observations(self.grey[pixels], self.middle[pixels], self.dim[pixels])
-
-    def regress_lights(self, scaled: Tensor) -> Tensor:
-        """Lights (K, 3) times their brightness, from albedo times normals (P, 3)."""
-        return _regress(self.grey.T.contiguous(), self.dim.T.contiguous(), scaled)
-
-    def regress_normals(self, lights: Tensor) -> Tensor:
-        """Albedo times normals (P, 3), from lights (K, 3) times their brightness."""
-        return _regress(self.grey, self.middle, lights)
+def _unequal(grey: Tensor, guess: LightGuess) -> float:
+    """How much the brightness of lights taken as equal differs where it may: standard deviation as a share."""
+    released = adjust(Observed(grey, "lit", USUAL), guess, CONTINUE)
+    return float(released.brightness.log().std())
 
 
-def _regress(seen: Tensor, used: Tensor, vectors: Tensor) -> Tensor:
-    """Robust solutions (N, 3) of ``seen = solution @ vectors.T``, N rows in parts that fit in cache."""
-    rows = max(1, CHUNK // seen.shape[1])
-    parts = zip(seen.split(rows), used.split(rows), strict=True)
-    return torch.cat([_regress_rows(some, some_used, vectors) for some, some_used in parts])
+def _undetermined(uncertainty: float, *, equal: bool) -> CaptureError:
+    """What is said of lights that the photographs do not determine."""
+    reason = "on one ring or one side, or " if equal else "of unknown brightness, on "
+    return CaptureError(
+        "images",
+        expected=f"photographs that determine their lights within {UNKNOWN:.0f} degrees, where they are not known",
+        got=f"lights that stay uncertain by {min(90.0, uncertainty):.0f} degrees: {reason}a surface that is flat or "
+        "shows the same to all sides",
+        mend="give the lights (--lights, --chrome)"
+        + ("" if equal else ", or their brightness (light_intensities.txt)"),
+    )
 
 
-def _regress_rows(seen: Tensor, used: Tensor, vectors: Tensor) -> Tensor:
-    outer, weight, rank = (vectors[:, :, None] * vectors[:, None]).flatten(1), used, median_rank(used)
-    mean = mean_brightness(seen)
-    solution = seen.new_zeros(len(seen), 3)
-    for _ in range(REWEIGHTINGS):
-        matrix = (weight @ outer).T.view(3, 3, -1)
-        ridge = 1e-6 * (matrix[0, 0] + matrix[1, 1] + matrix[2, 2]).clamp_min(1e-12)
-        rows = [[matrix[i, j] + ridge if i == j else matrix[i, j] for j in range(3)] for i in range(3)]
-        solution = torch.stack(solve_symmetric(rows, list(((weight * seen) @ vectors).T)), 1)
-        residual = seen - solution @ vectors.T
-        weight = geman_mcclure(used, residual, mean * noise_level(residual / mean, used, rank))
-    return solution
-
-
-def _equal_brightness(lights: Tensor) -> Tensor:
-    """The symmetric matrix (3, 3) that makes lights (K, 3) equally bright, by reweighted least squares.
-
-    Raises:
-        CaptureError: they do not determine it.
-    """
-    equations = _squares(lights)
-    weight = torch.ones_like(lights[:, :1])
-    solution = equations.new_zeros(6)
-    for _ in range(2 * REWEIGHTINGS):
-        solution = torch.linalg.lstsq(equations * weight, weight).solution[:, 0]
-        residual = (equations @ solution - 1).abs()[:, None]
-        weight = 1 / (1 + (residual / (2 * MAD_TO_SIGMA * residual.median()).clamp_min(1e-6)) ** 2)
-    xx, yy, zz, xy, xz, yz = solution
-    matrix = torch.stack((torch.stack((xx, xy, xz)), torch.stack((xy, yy, yz)), torch.stack((xz, yz, zz))))
-    values, vectors = torch.linalg.eigh(matrix)
-    root: Tensor = vectors @ values.clamp_min(0).sqrt().diag() @ vectors.T
-    singular = torch.linalg.svdvals(_squares(lights @ root))
-    if bool(values[0] <= 0) or bool(singular[-1] * MAX_SPREAD < singular[0]):
-        raise CaptureError(
-            "images",
-            expected="lights of equal brightness from all around, where they are not known",
-            got="lights that do not fit together: of different brightness, on one ring or on one side",
-            mend="give the lights (--lights, --chrome)",
-        )
-    return root
-
-
-def _squares(lights: Tensor) -> Tensor:
-    """The six products of coordinates (K, 6) whose weighted sum is the squared brightness."""
-    x, y, z = lights.unbind(1)
-    return torch.stack((x * x, y * y, z * z, 2 * x * y, 2 * x * z, 2 * y * z), 1)
-
-
-def _describe(count: int, spread: float, uncertainty: float) -> list[Finding]:
-    """What was assumed, and what speaks against it."""
-    agreed = f"agree within {uncertainty:.1f} degrees" if uncertainty < 90 else "show none"
+def _describe(guess: LightGuess, errors: tuple[float, float], *, unequal: float | None) -> FoundLights:
+    """What was found, what was assumed, and what speaks against it; ``unequal`` is None where nothing was assumed."""
+    uncertainty, brightness = math.degrees(errors[0]), guess.brightness
+    lights = (
+        "equally bright"
+        if unequal is not None
+        else f"of brightness {float(brightness.min()):.2f} to {float(brightness.max()):.2f} (within {errors[1]:.0%})"
+    )
+    rough = guess.material.model != "lambert"
+    resolved = [] if unequal is None else ["equal brightness"]
+    resolved += ["roughness"] if rough else ["highlights"] if guess.material.exponents else []
     text = (
-        f"no lights were given: {count} directions were found from the photographs, for lights far away and equally "
-        f"bright and an object that is convex on the whole. Those of halves of the object {agreed}; the error may be "
-        "several times that."
+        f"no lights were given: {len(brightness)} directions were found from the photographs, within "
+        f"{uncertainty:.1f} degrees, for lights far away and {lights}. The bas-relief ambiguity was resolved by "
+        f"{' and '.join(resolved) or 'nothing'}, the rotation by the surface's slopes; that the object bulges toward "
+        "the camera was assumed."
     )
     findings = [Finding(text, "lights-found", uncertainty)]
+    if unequal is None:
+        text = f"the brightness of the lights was found with them, within {errors[1]:.0%}."
+        findings.append(Finding(text, "brightness-found", 100 * errors[1]))
     if uncertainty > UNCERTAIN:
-        told = f"differ by {uncertainty:.1f} degrees" if uncertainty < 90 else "are not determined"
         text = (
-            f"the lights of halves of the object {told}: the directions are uncertain by that and more; photograph a "
-            "mirror ball under the lights, or more lights from all around."
+            f"the directions found are uncertain by {uncertainty:.1f} degrees; photograph a mirror ball under the "
+            "lights, or more lights from all around."
         )
         findings.append(Finding(text, "lights-uncertain", uncertainty))
-        warn(text)
-    if spread > UNEQUAL:
+    if unequal is not None and unequal > UNEQUAL:
         text = (
-            f"the lights found differ in brightness by {100 * spread:.0f} %: they are not equally bright, and their "
-            "directions are not to be trusted; give light_intensities.txt or the lights."
+            f"the lights differ in brightness by about {unequal:.0%}: they are not equally bright, and their "
+            "directions are not to be trusted; give light_intensities.txt or the lights, or intensities='unknown'."
         )
-        findings.append(Finding(text, "lights-unequal", 100 * spread))
-        warn(text)
-    return findings
+        findings.append(Finding(text, "lights-unequal", 100 * unequal))
+    return FoundLights(guess.directions.float(), brightness.float(), uncertainty, errors[1], tuple(findings))
