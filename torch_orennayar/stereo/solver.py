@@ -14,6 +14,7 @@ from ..core.errors import CaptureError, ShapeError
 from ..core.findings import Finding
 from ..reconstruction import Reconstruction, stack
 from ..reflectance.models import get_model
+from .broken_frames import find_broken_frames
 from .capture_checks import check_directions, check_shapes, find_dark_pixels, find_valid, leave_out
 from .interreflection import choose_interreflected_light
 from .light_frame import check_light_frame
@@ -62,6 +63,9 @@ def photometric_stereo(
     better; albedo and residual are then those of the remaining light. The albedo that this needs is found from the
     hollows and does not depend on the images' exposure. ``network`` does so too, and takes the surface as Lambertian
     for that.
+
+    From 8 photographs on, those that contradict what the others show of the surface are left out and named in the
+    report: moved, in the wrong order, or under another light.
 
     Models with interreflection take albedo in the unit of the images (1 is white), cut to [0, 1]. Not differentiable.
     float64 is solved in float64, all else in float32. The same seed gives the same result on the same machine.
@@ -142,6 +146,11 @@ def _solve_known(
     dark = find_dark_pixels(images, inside)
     sample = PixelSample.gather(images, lights, _draw_places(inside & ~dark, seed))
     findings = check_directions(sample.directions) + clipped
+    if robust:
+        broken, found_broken = find_broken_frames(sample)
+        findings += found_broken
+        if bool(broken.any()):
+            images, lights, sample = images[~broken], lights[~broken], sample.under(~broken)
     if lights.ndim == 2:
         findings += check_light_frame(images, lights, inside)
     choice = choose_material(sample, model, seed) if robust and model != NETWORK else MaterialChoice()
