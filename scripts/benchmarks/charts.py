@@ -83,6 +83,26 @@ def few_lights() -> Figure:
     return draw_lines(found["curves"], ("lights", "mean error, degrees"), log="x", title=found["object"])
 
 
+def unknown_lights() -> Figure:
+    """Error of normals against seconds, with lights known, found, and found with their brightness."""
+    found = load_section("evaluate_unknown_lights", "photographs").results
+    figure = Figure(figsize=(7, 4.2), layout="constrained")
+    axis = figure.subplots()
+    kinds = {"known": "lights known", "equal": "lights found", "unknown": "lights and brightness found"}
+    for (kind, title), marker in zip(kinds.items(), "os^", strict=True):
+        axis.plot(
+            [row[kind]["seconds"] for row in found.values()],
+            [row[kind]["normals"] for row in found.values()],
+            marker, label=title,
+        )  # fmt: skip
+    for name, row in found.items():
+        axis.annotate(name, (row["known"]["seconds"], row["known"]["normals"]), (6, 6), textcoords="offset points")
+    axis.set(xlabel="seconds", ylabel="mean angular error, degrees", xlim=(0, None), ylim=(0, None))
+    axis.legend(frameon=False)
+    axis.spines[["top", "right"]].set_visible(False)
+    return figure
+
+
 def confidence() -> Figure:
     """Error against the error that the confidence predicts."""
     found = load_section("evaluate_stereo", "confidence").results
@@ -241,6 +261,7 @@ CHARTS: dict[str, Callable[[], Figure]] = {
     "photographs": photographs,
     "rendered": rendered,
     "few_lights": few_lights,
+    "unknown_lights": unknown_lights,
     "confidence": confidence,
     "shape_speed": shape_speed,
     "shape_failures": shape_failures,

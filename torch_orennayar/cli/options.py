@@ -27,6 +27,9 @@ Seed = Annotated[int, typer.Option(help="Seed of everything drawn at random.", m
 Model = Annotated[ModelName, typer.Option(help="Reflectance model; `orennayar info` describes them.")]
 Roughness = Annotated[float, typer.Option(help="Roughness in degrees, 0 to 90.", min=0, max=90)]
 LightFile = Annotated[Path | None, typer.Option(help="Light file outside the folder.")]
+PositionFile = Annotated[
+    Path | None, typer.Option(help="File of near lights: x y z from the object, right, up, to the camera, in mm.")
+]
 MaskFile = Annotated[Path | None, typer.Option(help="Mask image outside the folder; white is the object.")]
 EncodingOption = Annotated[Encoding, typer.Option(help="Encoding of the images; auto: 8-bit files are sRGB.")]
 Size = Annotated[int, typer.Option(help="Height and width in pixels.", min=1, max=4096)]

@@ -5,13 +5,20 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from ..core.errors import RangeError
 from ..core.files import check_output
-from .options import EncodingOption, LightFile, MaskFile, Output, Seed, StereoModel
+from .options import EncodingOption, FieldOfView, LightFile, MaskFile, Output, PositionFile, Seed, StereoModel
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from ..io.capture import Capture
+    from ..io.result_numbers import ResultNumbers
+    from ..reconstruction import Reconstruction
 
 
 def stereo(
@@ -21,6 +28,11 @@ def stereo(
     lights: LightFile = None,
     mask: MaskFile = None,
     chrome: Annotated[Path | None, typer.Option(help="Folder of a chrome ball under the same lights.")] = None,
+    positions: PositionFile = None,
+    distance: Annotated[
+        float | None, typer.Option("--camera-distance", help="Camera to object in mm, for --positions.", min=1)
+    ] = None,
+    fov: FieldOfView = None,
     ambient: Annotated[Path | None, typer.Option(help="Photograph with all lights off; default: ambient.*.")] = None,
     encoding: EncodingOption = "auto",
     own_intensities: Annotated[
@@ -34,40 +46,94 @@ def stereo(
 ) -> None:
     """Photographs under several lights in; normals, albedo, roughness, depth and a mesh out."""
     from ..io.capture import load_capture
-    from ..io.light_files import DIRECTIONS_FILE, INTENSITIES_FILE, write_lights
     from ..io.results import RECONSTRUCTION_FILES, write_reconstruction
     from ..stereo.solver import photometric_stereo
 
     if least_squares and model not in ("auto", "lambert"):
         raise RangeError("--least-squares", expected="no --model, or lambert", got=model, mend="leave one of them out")
+    _check_near(positions, distance, fov, other=refine_lights or least_squares)
     check_output(output, RECONSTRUCTION_FILES)
     begun = time.perf_counter()
-    loaded = load_capture(capture, lights=lights, mask=mask, chrome=chrome, ambient=ambient, encoding=encoding)
+    loaded = load_capture(
+        capture, lights=lights, mask=mask, chrome=chrome, positions=positions, ambient=ambient, encoding=encoding
+    )
     if own_intensities:
         loaded = loaded.with_own_intensities(seed=seed)
     ready = time.perf_counter()
-    found = photometric_stereo(
-        loaded.images,
-        loaded.lights,
-        loaded.mask,
-        model="lambert" if least_squares else model,
-        robust=not least_squares,
-        refine_lights=refine_lights,
-        valid=loaded.valid,
-        seed=seed,
-    )
+    if distance is not None and fov is not None:
+        found = _solve_near(loaded, model, distance, fov, seed)
+    else:
+        found = photometric_stereo(
+            loaded.images,
+            loaded.lights,
+            loaded.mask,
+            model="lambert" if least_squares else model,
+            robust=not least_squares,
+            refine_lights=refine_lights,
+            valid=loaded.valid,
+            seed=seed,
+        )
     seconds = time.perf_counter() - ready
     loaded = replace(loaded, images=loaded.images[:0].clone())  # frees the memory of large captures for drawing
     numbers = write_reconstruction(output, found, loaded, title=capture.resolve().name, seconds=seconds).numbers
     if found.lights is not None or "lights-found" in {note.code for note in loaded.notes}:
-        write_lights(output, INTENSITIES_FILE, loaded.intensities)
-        directions = loaded.lights if found.lights is None else found.lights
-        typer.echo(f"wrote {write_lights(output, DIRECTIONS_FILE, directions)} for the next time")
+        _write_lights(output, loaded.lights if found.lights is None else found.lights, loaded.intensities)
+    _say(numbers)
+    total, loading = time.perf_counter() - begun, ready - begun
+    typer.echo(f"{total:.1f} s in all: {loading:.1f} s loading, {seconds:.1f} s solving; open {output / 'report.html'}")
+
+
+def _write_lights(output: Path, directions: Tensor, intensities: Tensor) -> None:
+    """Write lights that were found as files that `load_capture` reads, and say so."""
+    from ..io.light_files import DIRECTIONS_FILE, INTENSITIES_FILE, write_lights
+
+    write_lights(output, INTENSITIES_FILE, intensities)
+    typer.echo(f"wrote {write_lights(output, DIRECTIONS_FILE, directions)} for the next time")
+
+
+def _say(numbers: ResultNumbers) -> None:
+    """Print the report, and the error where the truth is known."""
     for sentence in numbers["report"]:
         typer.echo(sentence)
     error = numbers["normal_error_degrees"]
     if error:
         of_all = f"{error['pixels']} of {numbers['pixels']} pixels"
         typer.echo(f"normal error: mean {error['mean']:.2f}, median {error['median']:.2f} degrees over {of_all}")
-    total, loading = time.perf_counter() - begun, ready - begun
-    typer.echo(f"{total:.1f} s in all: {loading:.1f} s loading, {seconds:.1f} s solving; open {output / 'report.html'}")
+
+
+def _check_near(positions: Path | None, distance: float | None, fov: float | None, *, other: bool) -> None:
+    """Check that the options of near lights come together, and without those of distant ones."""
+    if positions is None and (distance, fov) != (None, None):
+        raise RangeError(
+            "--positions", expected="a file of positions", got="none", mend="leave --camera-distance and --fov out"
+        )
+    if positions is not None and (distance is None or fov is None or other):
+        raise RangeError(
+            "--positions",
+            expected="--camera-distance and --fov, and neither --refine-lights nor --least-squares",
+            got="other options",
+            mend="measure the distance from the camera to the object in mm, and give the vertical angle of view",
+        )
+
+
+def _solve_near(loaded: Capture, model: StereoModel, distance: float, fov: float, seed: int) -> Reconstruction:
+    """Solve under near lights; the depth becomes a height in pixels, as results are written."""
+    import math
+
+    from ..geometry.camera import Camera
+    from ..stereo.near_light import near_light_stereo
+
+    assert loaded.positions is not None
+    found = near_light_stereo(
+        loaded.images / loaded.positions.square().sum(1).mean(),  # of irradiance 1 where the object is, in the mean
+        loaded.positions - loaded.positions.new_tensor((0.0, 0.0, distance)),
+        loaded.mask,
+        camera=Camera.perspective(math.radians(fov)),
+        distance=distance,
+        model=model,
+        valid=loaded.valid,
+        seed=seed,
+    )
+    assert found.depth is not None
+    pixel = 2 * distance * math.tan(math.radians(fov) / 2) / loaded.mask.shape[1]
+    return replace(found, depth=(distance - found.depth) / pixel * loaded.mask)

@@ -43,6 +43,7 @@ CODES: dict[str, str] = {
     "interreflection-kept": "light between parts of the surface was looked for and not found",
     "network-normals": "normals come from the network",
     "network-few-lights": "fewer lights than the network was trained on; value: their number",
+    "lights-near": "near lights explain the photographs much better; value: their distance in sizes of the object",
     "frames-left-out": "number of photographs that contradict the others and were left out",
     "lights-mirrored": "normals oppose the object's outline along one axis; value: their correlation along it",
     "clipped-samples": "samples at full scale were left out; value: their share in percent",

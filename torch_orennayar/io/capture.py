@@ -4,30 +4,28 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 from ..core.defaults import independent_of_defaults
-from ..core.errors import CaptureError, FileError, RangeError
+from ..core.errors import FileError, RangeError
 from ..core.findings import Finding
 from ..stereo.calibrate import find_ball, find_circle, light_directions, own_intensities
-from ..stereo.unknown_lights import search_lights, warn_of_doubts
+from .capture_lights import lights_from_photographs, pair_with_lights
 from .images import write_image
 from .light_files import (
     DIRECTIONS_FILE,
     INTENSITIES_FILE,
-    LIGHT_FILES,
     LightList,
-    find_intensity_file,
     find_light_file,
     read_directions,
     read_intensities,
 )
-from .listed_names import match_names
+from .light_positions import read_positions
 from .masks import find_mask, read_mask
 from .photographs import find_ambient, list_photographs, read_photographs
 from .truth import read_truth
@@ -48,6 +46,8 @@ class Capture:
         names: file names of the images.
         notes: what the loader decided or assumed (encoding, mask, intensities), one `Finding` each.
         valid: (K, 1, H, W) bool, False where a sample is at full scale and so not measured; None where none is.
+        positions: (K, 3) of near lights, millimetres from where the camera's axis meets the object (x right, y up, z to
+            the camera), where a file of them was read; ``lights`` are then their directions from there. Else None.
     """
 
     images: Tensor
@@ -58,6 +58,7 @@ class Capture:
     names: tuple[str, ...]
     notes: tuple[Finding, ...] = field(default=())
     valid: Tensor | None = None
+    positions: Tensor | None = None
 
     @independent_of_defaults
     def with_own_intensities(self, *, seed: int = 0) -> Capture:
@@ -84,6 +85,7 @@ def load_capture(
     lights: str | os.PathLike[str] | None = None,
     mask: str | os.PathLike[str] | None = None,
     chrome: str | os.PathLike[str] | None = None,
+    positions: str | os.PathLike[str] | None = None,
     ambient: str | os.PathLike[str] | None = None,
     encoding: str = "auto",
 ) -> Capture:
@@ -105,6 +107,7 @@ def load_capture(
         mask: a mask image outside the folder; white is the object.
         chrome: a folder of photographs of a mirror ball under the same lights in the same order, optionally with a
             ``mask.png`` of the ball; directions are measured from its highlights and no light file is read.
+        positions: a file of the positions of near lights (`read_positions`), instead of a light file.
         ambient: a photograph with all lights off, outside the folder.
         encoding: ``"linear"``, ``"srgb"``, or ``"auto"``: what the files state (profile, sRGB or gamma chunk, Exif),
             else 8-bit files are sRGB-encoded and all others linear.
@@ -138,21 +141,10 @@ def load_capture(
             str(source), expected="a capture folder or .lp file", got="nothing there", mend="check the path"
         )
     folder = source if source.is_dir() else source.parent
-    if chrome is not None and lights is not None:
-        raise FileError(str(chrome), expected="a light file or a chrome ball", got="both", mend="leave one of them out")
     mask_file = Path(mask) if mask is not None else find_mask(folder)
     ambient_file = Path(ambient) if ambient is not None else find_ambient(folder)
     others = tuple(f for f in (mask_file, ambient_file) if f is not None)
-    notes: tuple[Finding, ...] = ()
-    if chrome is not None:
-        files = list_photographs(folder, others)
-        directions, note = _ball_directions(Path(chrome), len(files), encoding)
-        listed, notes = LightList([], directions), (note,)
-    elif (light_file := Path(lights) if lights is not None else find_light_file(source)) is not None:
-        files, listed = _pair_with_lights(folder, light_file, others)
-    else:
-        files = list_photographs(folder, others)
-        listed = LightList([], torch.empty(0, 3))
+    files, listed, near, notes = _read_lights(source, others, lights, chrome, positions, encoding)
     intensities, no_intensities = read_intensities(folder, len(files))
     if listed.intensities is not None:
         intensities, no_intensities = listed.intensities.expand(-1, 3).contiguous(), ()
@@ -160,7 +152,7 @@ def load_capture(
     size = (images.shape[2], images.shape[3])
     inside, about_mask = read_mask(mask_file, size)
     if not len(listed.directions):
-        listed, brightness, found = _find_lights(folder, images, inside, valid)
+        listed, brightness, found = lights_from_photographs(folder, images, inside, valid)
         notes = (*notes, *found)
         images, intensities = images.div_(brightness[:, :, None, None]), intensities * brightness
     return Capture(
@@ -172,7 +164,38 @@ def load_capture(
         names=tuple(f.name for f in files),
         notes=(*notes, *no_intensities, *decisions, *about_mask),
         valid=valid,
+        positions=near,
     )
+
+
+def _read_lights(
+    source: Path,
+    others: tuple[Path, ...],
+    lights: str | os.PathLike[str] | None,
+    chrome: str | os.PathLike[str] | None,
+    positions: str | os.PathLike[str] | None,
+    encoding: str,
+) -> tuple[list[Path], LightList, Tensor | None, tuple[Finding, ...]]:
+    """Image files, their lights or an empty list, positions of near lights, and what was found."""
+    folder = source if source.is_dir() else source.parent
+    if sum(given is not None for given in (chrome, lights, positions)) > 1:
+        raise FileError(
+            str(chrome or positions),
+            expected="a light file, a chrome ball or a file of positions",
+            got="more than one",
+            mend="leave the others out",
+        )
+    if positions is not None:
+        files, listed = pair_with_lights(folder, Path(positions), others, read_positions)
+        return files, listed._replace(directions=F.normalize(listed.directions, dim=1)), listed.directions, ()
+    if chrome is not None:
+        files = list_photographs(folder, others)
+        directions, note = _ball_directions(Path(chrome), len(files), encoding)
+        return files, LightList([], directions), None, (note,)
+    light_file = Path(lights) if lights is not None else find_light_file(source)
+    if light_file is not None:
+        return *pair_with_lights(folder, light_file, others, read_directions), None, ()
+    return list_photographs(folder, others), LightList([], torch.empty(0, 3)), None, ()
 
 
 def _check_encoding(encoding: str) -> None:
@@ -284,52 +307,3 @@ def _ball_directions(folder: Path, count: int, encoding: str) -> tuple[Tensor, F
     ball = find_circle(images) if mask is None else find_ball(mask)
     text = f"lights from the chrome ball at ({ball.x:.1f}, {ball.y:.1f}), radius {ball.radius:.1f} pixels."
     return light_directions(images, ball), Finding(text, "lights-from-ball", ball.radius)
-
-
-def _find_lights(
-    folder: Path, images: Tensor, inside: Tensor, valid: Tensor | None
-) -> tuple[LightList, Tensor, tuple[Finding, ...]]:
-    """Lights of a folder without a light file, from its photographs, and their brightness (K, 1).
-
-    Raises:
-        FileError: the photographs do not show where their lights are.
-    """
-    try:
-        found = search_lights(images.float(), inside, "equal", valid)
-        if "lights-unequal" in {finding.code for finding in found.findings}:
-            found = search_lights(images.float(), inside, "unknown", valid)
-    except CaptureError as error:
-        raise FileError(
-            str(folder),
-            expected=f"a light file ({', '.join(LIGHT_FILES)} or .lp), or photographs that show their lights",
-            got=f"no such file, and {error.got}",
-            mend=f"write one line 'x y z' per image, or pass lights= (--lights); or {error.mend}",
-        ) from error
-    warn_of_doubts(found)
-    return LightList([], found.directions), found.brightness[:, None], found.findings
-
-
-def _pair_with_lights(folder: Path, light_file: Path, others: tuple[Path, ...]) -> tuple[list[Path], LightList]:
-    """Image files and their lights, matched by name where the light file has names."""
-    listed = read_directions(light_file)
-    extra = find_intensity_file(folder)
-    if extra and (listed.names or listed.intensities is not None):
-        raise FileError(
-            str(extra),
-            expected="no intensities beside lights that have names or intensities of their own",
-            got="lines that may be in another order, or say another thing",
-            mend="remove it, or give the lights without names and intensities, in the order of the images",
-        )
-    if listed.names:
-        return match_names(folder, listed.names, light_file, partial(list_photographs, folder, others)), listed
-    files = list_photographs(folder, others)
-    if len(files) != len(listed.directions):
-        raise FileError(
-            str(light_file),
-            expected=f"{len(files)} lights, one per image ({files[0].name} to {files[-1].name})",
-            got=str(len(listed.directions)),
-            mend="add the missing lines, or list the images that count in filenames.txt"
-            if len(listed.directions) < len(files)
-            else "remove the lines that have no image",
-        )
-    return files, listed

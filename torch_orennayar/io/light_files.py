@@ -163,13 +163,13 @@ def _count(row: Row) -> int | None:
 
 def _columns(text: str) -> list[str] | None:
     """What the columns are, if a first line names them."""
-    words = [clean_name(word).lower() for word in _split_columns(text)]
+    words = [clean_name(word).lower() for word in split_columns(text)]
     kinds = [COLUMNS.get(word, "") for word in words]
     whole = {"x", "y", "z"} <= set(kinds) or {"azimuth", "elevation"} <= set(kinds)
     return kinds if whole else None
 
 
-def _split_columns(text: str) -> list[str]:
+def split_columns(text: str) -> list[str]:
     """The cells of a line of a table with named columns."""
     separator = next((s for s in (";", "\t", ",") if s in text), None)
     return [cell.strip() for cell in text.split(separator)]
@@ -181,7 +181,7 @@ def _read_columns(file: Path, columns: list[str], lines: Sequence[tuple[int, str
         raise FileError(str(file), expected="a line per image", got="the first line alone", mend="write the lights")
     cells: dict[str, list[str]] = {column: [] for column in columns if column}
     for number, text in lines:
-        row = _split_columns(text)
+        row = split_columns(text)
         if len(row) != len(columns):
             raise FileError(
                 f"{file} line {number}",
@@ -227,7 +227,7 @@ def _directions(file: Path, vectors: Tensor) -> Tensor:
             str(file),
             expected="unit vectors toward the lights",
             got=f"vectors of length {length.min().item():.4g} to {length.max().item():.4g}, which look like positions",
-            mend="for near lights give positions to near_light_stereo; of far ones give the directions",
+            mend="of near lights give the positions (--positions, near_light_stereo), of far ones directions",
         )
     for index in (~_unit(vectors)).nonzero().flatten().tolist():
         raise RangeError(

@@ -22,6 +22,7 @@ from .light_knowledge import Intensities, know_lights
 from .material_choice import choose_material, judge_roughness_map
 from .material_refinement import MIN_LIGHTS_HELD_OUT
 from .material_selection import MaterialChoice
+from .near_evidence import check_distant_lights
 from .network_solver import NETWORK, TRAINED_LIGHTS, solve_by_network
 from .normal_fill import fill_normals
 from .pixel_sample import SAMPLE_PIXELS, PixelSample
@@ -147,6 +148,7 @@ def _solve_known(
     sample = PixelSample.gather(images, lights, _draw_places(inside & ~dark, seed))
     findings = check_directions(sample.directions) + clipped
     if robust:
+        findings += check_distant_lights(sample, inside)
         broken, found_broken = find_broken_frames(sample)
         findings += found_broken
         if bool(broken.any()):

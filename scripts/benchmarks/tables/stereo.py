@@ -123,6 +123,43 @@ def wrong_calibration() -> str:
     return f"{section.source}\n\n{_curves(section.results['curves'], head)}"
 
 
+def unknown_lights() -> str:
+    """Errors of lights and normals with lights known and found."""
+    section = load_section("evaluate_unknown_lights", "photographs")
+    rendered = load_section("evaluate_unknown_lights", "rendered")
+    rows = []
+    for name, row in {**section.results, **rendered.results}.items():
+        cells = [fixed(row["known"]["normals"], 2)]
+        for kind in ("equal", "unknown"):
+            found = row[kind]
+            cells += [f"{found['lights']:.2f} ({found['expected']:.1f})", fixed(found["normals"], 2)]
+        spread, seconds = f"{row['unknown']['brightness']:.1%}", row["unknown"]
+        rows.append([name, *cells, spread, short(row["known"]["seconds"]), short(seconds["seconds"])])
+    header = [
+        "degrees", "lights known: normals", "equally bright: lights (expected)", "normals",
+        "brightness unknown: lights (expected)", "normals", "brightness off by", "seconds, known", "seconds, unknown",
+    ]  # fmt: skip
+    return f"{section.source}\n\n{table(header, rows)}"
+
+
+def unknown_lights_few() -> str:
+    """Errors of lights found from few photographs."""
+    section = load_section("evaluate_unknown_lights", "few")
+    head = f"{section.results['object']}: degrees by number of photographs, `lambert`"
+    return f"{section.source}\n\n{_curves(section.results['rows'], head, 1)}"
+
+
+def wrong_light_files() -> str:
+    """What is left of errors of a light file after it was refined."""
+    section = load_section("evaluate_unknown_lights", "wrong")
+    rows = [
+        [k, fixed(v["given"], 2), fixed(v["refined"], 2), str(v["replaced"])]
+        for k, v in section.results["rows"].items()
+    ]
+    header = [f"{section.results['object']}, 96 lights", "given, degrees off", "refined, degrees off", "replaced"]
+    return f"{section.source}\n\n{table(header, rows)}"
+
+
 def near_lights() -> str:
     """Error of near-light stereo with a wrong distance."""
     section = load_section(STEREO, "near lights")

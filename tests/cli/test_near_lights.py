@@ -1,0 +1,52 @@
+"""``orennayar stereo`` with the positions of near lights."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from tests.support import rendered_captures
+from tests.support.command_line import Run
+from torch_orennayar import angular_error
+from torch_orennayar.io.capture import save_capture
+
+
+@pytest.mark.slow
+def test_positions_from_a_file(orennayar: Run, meshes: dict[str, tuple[Tensor, Tensor]], tmp_path: Path) -> None:
+    """The scene's unit is 10 cm here; positions count from the object's mean depth."""
+    scene = rendered_captures.near_capture(meshes["bumps"], lights=12, size=64)
+    from_object = 100 * (scene.positions + torch.tensor([0.0, 0, scene.distance]))
+    white = (from_object / 100).square().sum(1).mean()  # irradiance 1 where the object is
+    folder = tmp_path / "photos"
+    save_capture(folder, (white * scene.images).expand(-1, 3, -1, -1), F.normalize(from_object, dim=1), scene.mask)
+    np.savetxt(tmp_path / "lamps.csv", from_object.numpy(), delimiter=",", header="x_mm,y_mm,z_mm", comments="")
+    result = orennayar("stereo", folder, "-o", tmp_path / "out", "--model", "vcavity", "--positions",
+                       tmp_path / "lamps.csv", "--camera-distance", 100 * scene.distance, "--fov", 35)  # fmt: skip
+    assert result.status == 0
+    normal = torch.from_numpy(np.load(tmp_path / "out" / "normal.npy"))
+    assert angular_error(normal, scene.normal, scene.mask).summary()["mean"] < 4
+    albedo = torch.from_numpy(np.load(tmp_path / "out" / "albedo.npy"))[:, scene.mask[0]]
+    assert albedo.median().item() == pytest.approx(0.6, abs=0.15)
+    height = torch.from_numpy(np.load(tmp_path / "out" / "depth.npy")).squeeze()
+    assert float(height[scene.mask[0]].max() - height[scene.mask[0]].min()) < 64
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--camera-distance", "400"), "leave --camera-distance and --fov out"),
+        (("--positions", "lamps.csv"), "measure the distance"),
+        (("--positions", "lamps.csv", "--camera-distance", "400", "--fov", "35", "--refine-lights"), "neither"),
+    ],
+)
+def test_options_that_do_not_go_together(
+    orennayar: Run, capture_folder: Path, tmp_path: Path, options: tuple[str, ...], message: str
+) -> None:
+    result = orennayar("stereo", capture_folder, "-o", tmp_path / "out", *options)
+    assert result.status == 1
+    assert message in result.err
