@@ -188,7 +188,7 @@ def test_a_list_in_another_folder_than_the_photographs(tmp_path: Path) -> None:
         (lines(lambda k: f"../../{name(k)[:-5]}.png {numbers(k)}"), "correct the name"),
         (lines(lambda k: f"{name(0)} {numbers(k)}"), "IMG_001.png twice"),
         (lines(lambda k: f"{k + 5} {numbers(k)}", head=""), "'5'.*correct the name"),
-        (lines(lambda k: " ".join(f"{300 * v:.2f}" for v in ROWS[k]), head=""), "positions; for near lights"),
+        (lines(lambda k: " ".join(f"{300 * v:.2f}" for v in ROWS[k]), head=""), "positions; of near lights"),
         (lines(lambda k: commas(k, ","), head=""), "separate the numbers by blanks or semicolons"),
         (lines(lambda k: f"{60 * k} 45", head=""), "'azimuth elevation' as the first line"),
         (lines(lambda k: numbers(k).rsplit(" ", 1)[0] + f" {-ROWS[k][2]:.6f}", head=""), "turn the sign of z"),

@@ -44,6 +44,7 @@ def test_lamps_far_away_are_distant(distance: float) -> None:
 
 
 @pytest.mark.parametrize("surface", ["satin_white", "spectralon", "alum-bronze"])
+@pytest.mark.slow
 def test_other_materials_are_not_taken_for_near_lamps(meshes: dict[str, tuple[Tensor, Tensor]], surface: str) -> None:
     scene = rendered_captures.capture(meshes["bumps"], rendered_captures.MATERIALS[surface], lights=16, size=64)
     found = photometric_stereo(scene.images, scene.lights, scene.mask, model="lambert")

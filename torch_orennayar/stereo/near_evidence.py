@@ -19,9 +19,9 @@ from .robust_stats import in_light, mean_brightness
 
 MIN_LIGHTS = 8
 """Photographs; with fewer little is left over from normal and albedo. Set by hand."""
-PIXELS, STEPS = 400, 8
-"""Pixels that are compared, and steps of their fits; set by hand, for a tenth of a second."""
-DISTANCES = (5.0, 3.0, 2.0)
+PIXELS, STEPS = 250, 6
+"""Pixels that are compared, and steps of their fits; set by hand, for some hundredths of a second."""
+DISTANCES = (4.0, 2.0)
 """Distances of the lights that are tried, in sizes of the object; set by hand."""
 BETTER = 0.8
 """Share of the error under distant lights that near ones must reach. Set by hand: .45 on a table under lamps at 2.7

@@ -22,6 +22,7 @@ from ..core.errors import CaptureError, RangeError, ShapeError
 from ..core.findings import Finding
 from ..core.progress import track
 from ..core.warn import warn
+from ..geometry.height_field import silhouette_normals
 from .capture_checks import find_valid, leave_out
 from .light_adjustment import LightGuess, Observed, adjust, standard_errors
 from .light_factors import factor
@@ -35,6 +36,12 @@ PIXELS = 2500
 """Pixels of the reduced photographs, about, that the lights are found from; set by hand, for seconds."""
 MIN_LIGHTS = 6
 """Fewest photographs: equal brightness gives one equation for each, and the matrix that it fixes has six unknowns."""
+UNLIKE = 0.07
+"""Mean error of the fit, as a share of the pixels' means and cut at `ERROR_CAP`, above which lights are refused. Set by
+hand: .01 to .06 on matt and glossy objects, .07 to .12 on metals and on lamps held by hand."""
+SLANTED, OUTWARD = 0.7, 0.4
+"""Least slant of the inflated outline's normals that are compared with those found, and least mean cosine between their
+directions in the picture; set by hand, right lights give .6 and more."""
 MIN_PIXELS = 200
 """Fewest pixels of an object whose outline says anything of its shape; set by hand."""
 EQUAL, USUAL, ANY = 0.05, 0.2, 2.0
@@ -154,6 +161,7 @@ def search_lights(images: Tensor, mask: Tensor, intensities: str, valid: Tensor 
     uncertainty = math.degrees(errors[0])
     if not uncertainty < UNKNOWN:  # or it is not a number
         raise _undetermined(uncertainty, equal=equal)
+    _check_fit(guess, grey, small)
     return _describe(guess, errors, unequal=_unequal(grey, guess) if equal else None)
 
 
@@ -229,6 +237,26 @@ def _unequal(grey: Tensor, guess: LightGuess) -> float:
     """How much the brightness of lights taken as equal differs where it may: standard deviation as a share."""
     released = adjust(Observed(grey, "lit", USUAL), guess, CONTINUE)
     return float(released.brightness.log().std())
+
+
+def _check_fit(guess: LightGuess, grey: Tensor, inside: Tensor) -> None:
+    """Refuse lights under which the surface does not show what was photographed, or leans against its outline."""
+    outline = silhouette_normals(inside[None])[:, inside].T.to(grey)
+    rim = outline[:, :2].norm(dim=1) > SLANTED
+    outward = F.normalize(guess.pixels.normal[rim, :2], dim=1) * F.normalize(outline[rim, :2], dim=1)
+    error = Observed(grey, "lit", EQUAL).error(guess)
+    reason = ""
+    if error > UNLIKE:
+        reason = f"photographs that no matt or glossy surface explains (error {error:.0%})"
+    elif float(outward.sum(1).mean()) < OUTWARD:
+        reason = "a surface that does not lean outward along its outline"
+    if reason:
+        raise CaptureError(
+            "images",
+            expected="one object, no metal, that does not move, under lamps far away, where the lights are not known",
+            got=reason,
+            mend="give the lights (--lights, --chrome), or check the mask",
+        )
 
 
 def _undetermined(uncertainty: float, *, equal: bool) -> CaptureError:
