@@ -4,6 +4,7 @@ from __future__ import annotations
 
 CODES: dict[str, str] = {
     # loading a capture
+    "encoding-chosen": "the images state no encoding and were tried as both; value: error if linear over error if sRGB",
     "read-as-srgb": "the images state no encoding and were read as sRGB-encoded, or the caller said so",
     "read-as-linear": "the images state no encoding and were read as linear light, or the caller said so",
     "encoding-stated": "the images were read in the encoding that they state",

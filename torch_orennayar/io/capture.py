@@ -16,6 +16,7 @@ from ..core.errors import FileError, RangeError
 from ..core.findings import Finding
 from ..stereo.calibrate import find_ball, find_circle, light_directions, own_intensities
 from .capture_lights import lights_from_photographs, pair_with_lights
+from .encoding_choice import choose_encoding
 from .images import write_image
 from .light_files import (
     DIRECTIONS_FILE,
@@ -110,7 +111,8 @@ def load_capture(
         positions: a file of the positions of near lights (`read_positions`), instead of a light file.
         ambient: a photograph with all lights off, outside the folder.
         encoding: ``"linear"``, ``"srgb"``, or ``"auto"``: what the files state (profile, sRGB or gamma chunk, Exif),
-            else 8-bit files are sRGB-encoded and all others linear.
+            else 8-bit files are sRGB-encoded, unless under 8 lights or more they predict lights that are left out far
+            better as linear light, and all others linear.
 
     Returns:
         A `Capture`.
@@ -148,24 +150,35 @@ def load_capture(
     intensities, no_intensities = read_intensities(folder, len(files))
     if listed.intensities is not None:
         intensities, no_intensities = listed.intensities.expand(-1, 3).contiguous(), ()
-    images, valid, decisions = read_photographs(files, encoding, intensities, ambient_file)
-    size = (images.shape[2], images.shape[3])
-    inside, about_mask = read_mask(mask_file, size)
-    if not len(listed.directions):
-        listed, brightness, found = lights_from_photographs(folder, images, inside, valid)
-        notes = (*notes, *found)
-        images, intensities = images.div_(brightness[:, :, None, None]), intensities * brightness
-    return Capture(
-        images=images,
-        lights=listed.directions,
-        intensities=intensities,
-        mask=inside,
-        normal=read_truth(folder, size),
-        names=tuple(f.name for f in files),
-        notes=(*notes, *no_intensities, *decisions, *about_mask),
-        valid=valid,
-        positions=near,
-    )
+
+    def photographed(encoding: str) -> Capture:
+        """The capture read in that encoding, its lights found where they are not known."""
+        images, valid, decisions = read_photographs(files, encoding, intensities, ambient_file)
+        size = (images.shape[2], images.shape[3])
+        inside, about_mask = read_mask(mask_file, size)
+        directions, divisor, found = listed.directions, intensities, notes
+        if not len(directions):
+            directions, brightness, about_lights = lights_from_photographs(folder, images, inside, valid)
+            found = (*notes, *about_lights)
+            images, divisor = images.div_(brightness[:, :, None, None]), intensities * brightness
+        return Capture(
+            images=images,
+            lights=directions,
+            intensities=divisor,
+            mask=inside,
+            normal=read_truth(folder, size),
+            names=tuple(f.name for f in files),
+            notes=(*found, *no_intensities, *decisions, *about_mask),
+            valid=valid,
+            positions=near,
+        )
+
+    capture = photographed(encoding)
+    if encoding != "auto" or near is not None or "read-as-srgb" not in {note.code for note in capture.notes}:
+        return capture
+    is_linear, chosen = choose_encoding(capture.images, capture.lights, capture.intensities, capture.mask[0])
+    capture = photographed("linear") if is_linear else capture
+    return replace(capture, notes=(*capture.notes, *chosen))
 
 
 def _read_lights(

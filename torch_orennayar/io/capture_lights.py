@@ -18,8 +18,8 @@ from .photographs import list_photographs
 
 def lights_from_photographs(
     folder: Path, images: Tensor, inside: Tensor, valid: Tensor | None
-) -> tuple[LightList, Tensor, tuple[Finding, ...]]:
-    """Lights of a folder without a light file, from its photographs, and their brightness (K, 1).
+) -> tuple[Tensor, Tensor, tuple[Finding, ...]]:
+    """Directions (K, 3) and brightness (K, 1) of the lights of a folder without a light file, from its photographs.
 
     Raises:
         FileError: the photographs do not show where their lights are.
@@ -36,7 +36,7 @@ def lights_from_photographs(
             mend=f"write one line 'x y z' per image, or pass lights= (--lights); or {error.mend}",
         ) from error
     warn_of_doubts(found)
-    return LightList([], found.directions), found.brightness[:, None], found.findings
+    return found.directions, found.brightness[:, None], found.findings
 
 
 def pair_with_lights(
