@@ -151,6 +151,9 @@ def test_what_does_not_show_its_lights_is_refused(ball: tuple[Tensor, Tensor]) -
     one[0, 20, 20] = True
     with pytest.raises(CaptureError, match="at least 200 pixels"):
         find_lights(images, one)
+    broken = torch.where(one, torch.nan, images)
+    with pytest.raises(RangeError, match="finite values inside the mask"):
+        find_lights(broken, mask)
     with pytest.raises(RangeError, match="'equal' or 'unknown'"):
         find_lights(images, mask, intensities="same")  # type: ignore[arg-type]
 

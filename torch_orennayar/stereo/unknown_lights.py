@@ -111,7 +111,7 @@ def find_lights(
 
     Raises:
         ShapeError: other shapes or types.
-        RangeError: other ``intensities``.
+        RangeError: other ``intensities``, values inside the mask that are not finite.
         CaptureError: too few photographs, an outline that is cut by the picture's border, photographs that do not
             determine their lights: of a surface too flat or too plain, or lights on one ring or one side.
 
@@ -153,6 +153,13 @@ def search_lights(images: Tensor, mask: Tensor, intensities: str, valid: Tensor 
     _check_outline(inside[0], len(images))
     images, _ = leave_out(images, find_valid(images, inside[0], valid), inside[0])
     grey, small = gather_reduced(images, inside[0], PIXELS)
+    if not bool(grey.isfinite().all()):
+        raise RangeError(
+            "images",
+            expected="finite values inside the mask",
+            got="NaN or infinity",
+            mend="take those pixels out of the mask",
+        )
     equal = intensities == "equal"
     try:
         guess, errors = _solve(grey, small, factor(grey, small), EQUAL if equal else ANY)
