@@ -170,14 +170,18 @@ def test_a_graph_that_differs_is_not_left_behind(tmp_path: Path, monkeypatch: py
     assert list(tmp_path.iterdir()) == []
 
 
+RendererGraph = tuple[str, Path, Camera, tuple[int, int]]
+"""What the graph is, its file, its camera and the size of its pictures."""
+
+
 @pytest.fixture(scope="module", params=["orthographic", "perspective"])
-def renderer(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Path, Camera]:
-    """A renderer, and a renderer with shading behind it."""
+def renderer(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> RendererGraph:
+    """A renderer, and a renderer with shading behind it, from the side and of a picture that is not square."""
     path = tmp_path_factory.mktemp("graph") / f"{request.param}.onnx"
     if request.param == "orthographic":
-        return "renderer", export_onnx("renderer", path, camera=CAMERA, size=SIZE), CAMERA
-    camera = Camera.perspective(1.6, (0.3, 0.4, 1.1))
-    return "shaded_mesh", export_onnx("shaded_mesh", path, camera=camera, size=SIZE, model="vcavity"), camera
+        return "renderer", export_onnx("renderer", path, camera=CAMERA, size=SIZE), CAMERA, SIZE
+    camera, size = Camera.perspective(1.6, (0.3, 0.4, 1.1)), (384, 512)
+    return "shaded_mesh", export_onnx("shaded_mesh", path, camera=camera, size=size, model="vcavity"), camera, size
 
 
 def render(path: Path, *inputs: torch.Tensor, threads: int = 0) -> dict[str, torch.Tensor]:
@@ -189,15 +193,15 @@ def render(path: Path, *inputs: torch.Tensor, threads: int = 0) -> dict[str, tor
     return dict(zip([o.name for o in session.get_outputs()], map(torch.from_numpy, answers), strict=True))
 
 
-def check_render(renderer: tuple[str, Path, Camera], vertices: torch.Tensor, faces: torch.Tensor) -> None:
-    what, path, camera = renderer
+def check_render(renderer: RendererGraph, vertices: torch.Tensor, faces: torch.Tensor) -> None:
+    what, path, camera, size = renderer
     light = F.normalize(torch.tensor([[0.0, 0, 1], [1, 1, 1], [-1, 0.5, 0.2]]), dim=1)
     albedo = torch.tensor([0.8, 0.4])
     inputs = (vertices, faces) if what == "renderer" else (vertices, faces, light, albedo, torch.tensor([0.6]))
     answers = [render(path, *inputs, threads=threads) for threads in (1, 2, 4, 4)]
     for other in answers[1:]:
         assert all(torch.equal(a, b) for a, b in zip(answers[0].values(), other.values(), strict=True))
-    seen, found = render_normals(vertices, faces, camera, SIZE), answers[0]
+    seen, found = render_normals(vertices, faces, camera, size), answers[0]
     assert torch.equal(found["face"], seen.face)
     assert torch.equal(found["mask"], seen.mask)
     assert torch.equal(found["depth"].isinf(), ~seen.mask)
@@ -209,7 +213,7 @@ def check_render(renderer: tuple[str, Path, Camera], vertices: torch.Tensor, fac
 
 
 @pytest.mark.slow
-def test_renderer_sees_the_faces_that_torch_sees(renderer: tuple[str, Path, Camera]) -> None:
+def test_renderer_sees_the_faces_that_torch_sees(renderer: RendererGraph) -> None:
     ball = trimesh.creation.icosphere(4)
     check_render(renderer, torch.tensor(ball.vertices).float(), torch.tensor(ball.faces))
     generator = torch.Generator().manual_seed(5)
@@ -220,20 +224,20 @@ def test_renderer_sees_the_faces_that_torch_sees(renderer: tuple[str, Path, Came
 
 @pytest.mark.parametrize("name", ["stanford-bunny", "spot", "suzanne", "teapot", "nefertiti"])
 @pytest.mark.slow
-def test_renderer_sees_the_same_faces_of_real_meshes(renderer: tuple[str, Path, Camera], data: Path, name: str) -> None:
+def test_renderer_sees_the_same_faces_of_real_meshes(renderer: RendererGraph, data: Path, name: str) -> None:
     vertices, faces = load_mesh(data / "meshes" / f"{name}.obj")
     check_render(renderer, normalise_mesh(vertices), faces)
 
 
 @pytest.mark.slow
-def test_renderer_is_a_small_file_without_races(renderer: tuple[str, Path, Camera]) -> None:
-    what, path, _ = renderer
+def test_renderer_is_a_small_file_without_races(renderer: RendererGraph) -> None:
+    what, path, _, size = renderer
     described = describe_onnx(path)
     assert described["bytes"] <= 300_000
     assert described["opset"] == 18
     assert described["inputs"]["vertices"] == ["vertices", "3"]
     assert described["inputs"]["faces"] == ["faces", "3"]
-    assert described["outputs"]["face"] == ["1", "1", *map(str, SIZE)]
+    assert described["outputs"]["face"] == ["1", "1", *map(str, size)]
     assert not {"ScatterND", "Inverse"} & set(described["operators"])
     assert described["metadata"]["graph"] == what
     assert "perspective" in described["metadata"]["camera"] or what == "renderer"

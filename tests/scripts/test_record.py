@@ -99,6 +99,9 @@ SAMPLE: dict[str, dict[str, Any]] = {
         "few lights": {"object": "cat", "curves": {"auto": {"3": 5.0, "12": 3.0}}},
         "confidence": {"ball": {"1.0": 1.1, "2.0": 2.3}},
     },
+    "evaluate_unknown_lights": {
+        "photographs": {"ball": {k: {"normals": 1.0, "seconds": 2.0} for k in ("known", "equal", "unknown")}},
+    },
     "evaluate_shape_from_shading": {
         "steps": {"found": {"10": {"median": 3.0, "seconds": 0.5}}},
         "surfaces": {"found": {"bumpy ellipsoid, 30 degrees": {"inflated": {"median": 9.0, "seconds": 0.1}}}},

@@ -19,8 +19,9 @@ from torch_orennayar import MODELS, Camera
 from torch_orennayar.export import shading_graph
 from torch_orennayar.export.renderer_graph import Renderer
 
-CAMERA, SIZE = Camera.orthographic(1.05, (0.5, 0.6, 2.0)), (384, 512)
-"""What the tests of a renderer without shading share; at this size the camera's maps would not fit into the file."""
+CAMERA, SIZE = Camera.orthographic(1.05), (512, 512)
+"""What the tests of a renderer without shading share with the page in ``examples/web``, so that it is traced once; at
+this size the camera's maps would not fit into the file."""
 
 
 BUILT_IN = frozenset(MODELS)

@@ -36,7 +36,7 @@ def check_distant_lights(sample: PixelSample, inside: Tensor) -> list[Finding]:
         inside: (H, W) bool, the object.
     """
     light = sample.directions.light
-    if light.ndim != 2 or len(light) < MIN_LIGHTS:
+    if len(light) < MIN_LIGHTS:
         return []
     some = sample[:PIXELS]
     row, column = inside.nonzero().to(light).unbind(1)

@@ -147,7 +147,7 @@ def _solve_known(
     dark = find_dark_pixels(images, inside)
     sample = PixelSample.gather(images, lights, _draw_places(inside & ~dark, seed))
     findings = check_directions(sample.directions) + clipped
-    if robust:
+    if robust and lights.ndim == 2:  # maps of near lights are refined with the surface, and misfit until then
         findings += check_distant_lights(sample, inside)
         broken, found_broken = find_broken_frames(sample)
         findings += found_broken
