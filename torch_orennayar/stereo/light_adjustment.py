@@ -34,7 +34,7 @@ from .robust_stats import (
 INDEPENDENT = 0.02
 """Share of the observations that count as independent, 1 in 50: a material that does not fit errs the same way under
 about ten lights and in about five pixels. Set by hand; the errors of lights found on rendered and real objects are then
-mostly within their standard error (``scripts/benchmarks/evaluate_stereo.py``)."""
+mostly within their standard error (``scripts/benchmarks/evaluate_unknown_lights.py``)."""
 OWN_STEPS = 3
 """Gauss-Newton steps of the pixels alone after each step of all; set by hand."""
 MAX_TURN = 0.1
