@@ -17,7 +17,7 @@ from torch import Tensor
 from . import robust_fit
 from .linear_systems import camera_facing, tangent_vectors
 from .material import LightDirections, Material, Response, respond
-from .material_refinement import number_of, number_range, with_number
+from .material_refinement import capped_error, number_of, number_range, with_number
 from .pixel_sample import PixelSample
 from .robust_fit import LOBE_RIDGE, PixelFit, fill_jacobian, tilted
 from .robust_stats import (
@@ -94,10 +94,6 @@ class Observed:
     used: Used
     spread: float
 
-    def part(self, pixels: Tensor) -> Observed:
-        """Some of the pixels."""
-        return replace(self, grey=self.grey[pixels])
-
     def fit(
         self, directions: Tensor, brightness: Tensor, material: Material, start: PixelFit | None, steps: int
     ) -> PixelFit:
@@ -110,9 +106,7 @@ class Observed:
         """Mean absolute misfit over the pixels' means, each cut at `ERROR_CAP`."""
         grey = self.grey / guess.brightness
         shown = robust_fit.predict(guess.pixels, LightDirections.of(guess.directions), guess.material)
-        missed = ((grey - shown).abs() / mean_brightness(grey)).clamp(max=ERROR_CAP)
-        lit = in_light(grey)
-        return float((missed * lit).sum() / lit.sum())
+        return capped_error(grey, shown, mean_brightness(grey), in_light(grey))
 
 
 def adjust(observed: Observed, guess: LightGuess, rounds: int, stiffness: Tensor | None = None) -> LightGuess:
