@@ -134,7 +134,7 @@ def sources(*sections: Section) -> str:
 def describe_run(device: str = "cpu") -> dict[str, object]:
     """Commit, date, command, processor, threads and versions of this process."""
     return {
-        "commit": _git("rev-parse", "HEAD"),
+        "commit": _git("rev-parse", "HEAD") or os.environ.get("GIT_COMMIT"),  # a copy without .git is told it
         "changed": bool(_git("status", "--porcelain", "--", ".", *(f":(exclude){place}" for place in GENERATED))),
         "date": datetime.now(timezone.utc).isoformat(timespec="seconds"),
         "command": command_line(),
