@@ -14,6 +14,7 @@ from torch_orennayar import (
     MODELS,
     Camera,
     OrenNayar,
+    SyntheticCaptures,
     antialias,
     cast_shadows,
     decode_normals,
@@ -141,3 +142,12 @@ def test_maps_stay_on_their_device(device: torch.device, smooth: Scene) -> None:
     again = depth_to_normals(depth)
     coded = decode_normals(encode_normals(normal))
     assert {depth.device.type, again.device.type, coded.device.type} == {device.type}
+
+
+def test_synthetic_samples_are_made_on_their_device(device: torch.device) -> None:
+    source = SyntheticCaptures("images", device=device, lights=(3, 3), size=(24, 20))
+    for index in range(4):  # both kinds of camera among them
+        sample = source.sample(index)
+        assert {sample[name].device.type for name in ("images", "lights", "mask", "normal")} == {device.type}
+        assert sample["images"].isfinite().all()
+        assert (sample["normal"].norm(dim=0) - 1)[sample["mask"][0]].abs().max() <= 1e-5

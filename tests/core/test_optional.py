@@ -74,5 +74,5 @@ def _ancestors(node: ast.AST, parents: dict[ast.AST, ast.AST]) -> list[ast.AST]:
 
 def _required(function: ast.FunctionDef) -> set[str]:
     calls = (node for node in ast.walk(function) if isinstance(node, ast.Call))
-    words = (a for call in calls if ast.unparse(call.func) == "require" for a in call.args)
+    words = (a for call in calls if ast.unparse(call.func) in ("require", "available") for a in call.args)
     return {a.value for a in words if isinstance(a, ast.Constant) and isinstance(a.value, str)}

@@ -22,6 +22,7 @@ PACKAGES: dict[str, tuple[str, str]] = {
     "pyamg": ("pyamg", ""),
     "rich": ("rich", "cli"),
     "scipy": ("scipy", ""),
+    "threadpoolctl": ("threadpoolctl", ""),
     "trimesh": ("trimesh", ""),
     "typer": ("typer", "cli"),
 }

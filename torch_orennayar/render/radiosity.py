@@ -40,7 +40,7 @@ class SeenSurface(NamedTuple):
         height, width = inside.shape
         normal = seen.normal[0][:, inside].T
         points = camera.points(seen.depth.where(seen.mask, 1.0))[0][:, inside].T
-        view = camera.view_directions((height, width))[0].expand(3, height, width)[:, inside].T
+        view = camera.view_directions((height, width))[0].to(normal).expand(3, height, width)[:, inside].T
         pixel = 2 / (height * camera.focal[0, 1]) * (points[:, 2:] if camera.is_perspective else 1)
         area = pixel**2 / (normal * view).sum(1, keepdim=True).clamp_min(STEEPEST)
         return SeenSurface(points, normal, view, area)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from ..core.progress import track
+from ..core.threads import one_thread
 from ..geometry.height_field import normals, resize
 from .objective import FitParameters, FitSettings, Objective
 from .scene import PictureScene
@@ -128,7 +129,7 @@ def _fit_level(scene: PictureScene, start: FitParameters, settings: FitSettings,
             cost.backward()
             return cost
 
-        with _one_thread(scene.mask.numel() < ONE_THREAD_PIXELS):
+        with one_thread() if scene.mask.numel() < ONE_THREAD_PIXELS else nullcontext():
             optimiser.step(closure)
     found = current()
     found = FitParameters(*(p.detach() for p in (found.height, found.albedo, found.roughness, found.ambient)))
@@ -147,14 +148,3 @@ def _scale_sizes(size: tuple[int, int]) -> list[tuple[int, int]]:
     for _ in range(SCALES - 1):
         sizes.append(((sizes[-1][0] + 1) // 2, (sizes[-1][1] + 1) // 2))
     return sizes
-
-
-@contextmanager
-def _one_thread(wanted: bool) -> Iterator[None]:
-    """Use one thread while the context lasts: threads that gain little wait for each other beside a busy process."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1 if wanted else threads)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(threads)

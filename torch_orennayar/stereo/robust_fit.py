@@ -8,14 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields
 from typing import Literal, TypeVar
 
 import torch
 from torch import Tensor
 
-from ..core.progress import track
+from ..core.threads import side_by_side
 from .linear_systems import camera_facing, solve_symmetric, tangent_vectors, weighted_lambert
 from .material import LightDirections, Material, Response, cosines, respond
 from .pixel_sample import PixelSample
@@ -41,8 +40,8 @@ Start = Callable[[Tensor, LightDirections], tuple[Tensor, Tensor]]
 CHUNK = 120_000
 """Observations that are solved together on a processor, so that temporaries stay in its cache; set by hand.
 
-Chunks run side by side on as many threads as torch has: on a busy machine that is several times faster than
-one chunk after the other, where every operation waits for all threads.
+Chunks run side by side, each on one thread: on a busy machine that is several times faster than one chunk after the
+other, where every operation waits for all threads.
 """
 CHUNK_ACCELERATOR = 20_000_000
 """Observations that are solved together on an accelerator; set by hand."""
@@ -95,26 +94,20 @@ class PixelFit:
 
 
 def chunks(grey: Tensor) -> list[slice]:
-    """Runs of pixels that are solved together: as many as fit in cache, and enough for every thread."""
-    most = (CHUNK if grey.device.type == "cpu" else CHUNK_ACCELERATOR) // grey.shape[1]
-    size = max(1, min(most, -(-len(grey) // torch.get_num_threads())))
+    """Runs of pixels that are solved together: on a processor, as many as fit in cache, and enough for every thread."""
+    on_processor = grey.device.type == "cpu"
+    most = (CHUNK if on_processor else CHUNK_ACCELERATOR) // grey.shape[1]
+    size = max(1, min(most, -(-len(grey) // _workers(grey))))
     return [slice(i, i + size) for i in range(0, len(grey), size)]
 
 
-def map_chunks(work: Callable[[slice], T], parts: Sequence[slice], progress: str = "") -> list[T]:
-    """``work`` on every part, on as many threads as torch has; stops at the first error or Ctrl-C."""
+def map_chunks(work: Callable[[slice], T], grey: Tensor, progress: str = "") -> list[T]:
+    """``work`` on all `chunks` of ``grey``, on a processor on as many threads as torch has."""
+    return side_by_side(work, chunks(grey), workers=_workers(grey), progress=progress)
 
-    @torch.no_grad()  # threads do not inherit it
-    def quietly(part: slice) -> T:
-        return work(part)
 
-    with ThreadPoolExecutor(torch.get_num_threads()) as pool:
-        try:
-            done = pool.map(quietly, parts)
-            return list(track(done, progress, len(parts)) if progress else done)
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
+def _workers(grey: Tensor) -> int:
+    return torch.get_num_threads() if grey.device.type == "cpu" else 1
 
 
 def fit(
@@ -147,7 +140,7 @@ def fit(
         for f in fields(PixelFit):
             getattr(whole, f.name)[part] = getattr(found, f.name)
 
-    map_chunks(solve, chunks(sample.grey), progress)
+    map_chunks(solve, sample.grey, progress)
     return whole
 
 
@@ -185,7 +178,7 @@ def common_cost(fitted: PixelFit, noise: Tensor, sample: PixelSample, material: 
         cost = lit * geman_mcclure_cost(residual, noise[part] * mean_brightness(some.grey))
         return cost.sum(1) / lit.sum(1)
 
-    return torch.cat(map_chunks(work, chunks(sample.grey)))
+    return torch.cat(map_chunks(work, sample.grey))
 
 
 def _fit_chunk(

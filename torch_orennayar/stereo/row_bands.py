@@ -161,7 +161,7 @@ def _channels(fitted: PixelFit, band: _Band, material: Material) -> tuple[Tensor
         channels = flat.index_select(2, sample.places[part]).permute(2, 0, 1).to(sample.grey)
         return fit_channels(fitted[part], sample[part], channels, material, band.used)
 
-    albedo, lobes = zip(*robust_fit.map_chunks(work, robust_fit.chunks(sample.grey)), strict=True)
+    albedo, lobes = zip(*robust_fit.map_chunks(work, sample.grey), strict=True)
     return torch.cat(albedo), torch.cat(lobes)
 
 
