@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 
 from scripts.benchmarks.markdown import NOTHING, short, table
-from scripts.benchmarks.record import load_section, sources
+from scripts.benchmarks.record import NotMeasuredError, load_section, sources
 
 RENDERER = "benchmark_renderer"
 TARGETS = {"20480 triangles": "llvmpipe (OpenGL)", "327680 triangles": "Mitsuba 3 (LLVM)"}
@@ -57,9 +58,13 @@ def memory() -> str:
 
 def gpu() -> str:
     """What `gpu` measured on an accelerator, number by number."""
-    found = {title: load_section("gpu", title) for title in GPU_SECTIONS}
+    found = {}
+    for title in GPU_SECTIONS:
+        with suppress(NotMeasuredError):
+            found[title] = load_section("gpu", title)
     rows = [[title, name, words] for title, section in found.items() for name, words in _numbers(section.results)]
-    return f"{sources(*found.values())}\n\n{table(['section', 'what', 'value'], rows)}"
+    rows += [[title, "not measured yet", NOTHING] for title in GPU_SECTIONS if title not in found]
+    return "\n\n".join([*([sources(*found.values())] if found else []), table(["section", "what", "value"], rows)])
 
 
 def _numbers(results: Mapping[str, object], prefix: str = "") -> Iterator[tuple[str, str]]:
