@@ -22,7 +22,7 @@ from torch import Tensor
 from scripts.benchmarks.record import record
 from torch_orennayar import angular_error, load_capture, photometric_stereo
 from torch_orennayar.geometry.primitives import Ball
-from torch_orennayar.io.capture import load_ball
+from torch_orennayar.io.ball_photographs import load_ball
 from torch_orennayar.stereo.calibrate import find_ball, light_directions, own_intensities
 
 GREY_BALL = Ball(244.5, 144.5, 108.0)

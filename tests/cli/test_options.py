@@ -21,7 +21,7 @@ def test_vectors_with_commas_and_with_spaces(option: str, form: str, equals: boo
     words = [f"{option}={first}", *rest] if equals else [option, first, *rest]
     joined = join_vectors(["stay", *words, "7", "-o", "out"])
     assert (joined[0], joined[2:]) == ("stay", ["7", "-o", "out"])
-    assert parse_vector(option, joined[1].partition("=")[2]) == (-0.3, 0.4, 0.86)
+    assert parse_vector(option, joined[1].partition("=")[2]) == [-0.3, 0.4, 0.86]
 
 
 @pytest.mark.parametrize("text", ["", "1", "1,2", "1,2,3,4", "1,2,x", "1,,3", "nan,0,1", "0,inf,1"])

@@ -14,7 +14,7 @@ from tests.support.objects import Scene
 from torch_orennayar import CaptureError, OrenNayar, ShapeError, angular_error, load_capture, photometric_stereo
 from torch_orennayar.geometry.metrics import angular_error as _angle
 from torch_orennayar.geometry.primitives import Ball, spiral_lights
-from torch_orennayar.io.capture import load_ball
+from torch_orennayar.io.ball_photographs import load_ball
 from torch_orennayar.io.images import write_image
 from torch_orennayar.stereo.calibrate import (
     ball_intensities,

@@ -33,7 +33,8 @@ def calibrate(
 ) -> None:
     """Find lights: directions from a chrome ball, intensities from a grey ball or from a capture itself."""
     from ..geometry.primitives import Ball
-    from ..io.capture import load_ball, load_capture
+    from ..io.ball_photographs import load_ball
+    from ..io.capture import load_capture
     from ..io.light_files import DIRECTIONS_FILE, INTENSITIES_FILE, write_lights
     from ..stereo.calibrate import ball_intensities, light_directions, own_intensities
 
@@ -41,7 +42,7 @@ def calibrate(
     given = None if circle is None else Ball(*parse_vector("--circle", circle))
     if kind == "chrome":
         images, shape = load_ball(folder, mask=mask, encoding=encoding)
-        values, name = light_directions(images, _find(given, images, shape)), DIRECTIONS_FILE
+        values, name = light_directions(images, _find(given, images, shape, mirror=True)), DIRECTIONS_FILE
     else:
         capture = load_capture(folder, lights=lights, mask=mask, encoding=encoding)
         images, name = capture.images * capture.intensities[:, :, None, None], INTENSITIES_FILE
@@ -53,11 +54,16 @@ def calibrate(
     typer.echo(f"{len(values)} lights; wrote {output / name}")
 
 
-def _find(given: Ball | None, images: Tensor, mask: Tensor | None) -> Ball:
+def _find(given: Ball | None, images: Tensor, mask: Tensor | None, *, mirror: bool = False) -> Ball:
     """The ball as given, from its mask unless that is the whole image, or from the images; its place is printed."""
     from ..stereo.calibrate import find_ball, find_circle
+    from ..stereo.mirror_ball import find_mirror_ball
 
-    masked = mask is not None and not bool(mask.all())
-    ball = given or (find_ball(mask) if mask is not None and masked else find_circle(images))
+    if given is not None:
+        ball = given
+    elif mask is not None and not bool(mask.all()):
+        ball = find_ball(mask)
+    else:
+        ball = find_mirror_ball(images).ball if mirror else find_circle(images)
     typer.echo(f"ball at column {ball.x:.1f}, row {ball.y:.1f}, radius {ball.radius:.1f} pixels")
     return ball

@@ -31,6 +31,19 @@ PositionFile = Annotated[
     Path | None, typer.Option(help="File of near lights: x y z from the object, right, up, to the camera, in mm.")
 ]
 MaskFile = Annotated[Path | None, typer.Option(help="Mask image outside the folder; white is the object.")]
+MaskChoice = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE|whole", help="Mask image outside the folder; white is the object. whole: every pixel."),
+]
+BallOutline = Annotated[
+    str | None,
+    typer.Option("--ball", metavar="X,Y,RADIUS", help="A mirror ball in the photographs: column, row, radius."),
+]
+BallMask = Annotated[Path | None, typer.Option(help="Mask of that ball instead; white on the ball.")]
+Crop = Annotated[
+    str | None, typer.Option(metavar="LEFT,TOP,WIDTH,HEIGHT", help="The part of the photographs to use, in pixels.")
+]
+Scale = Annotated[float, typer.Option(help="Factor of the photographs' size, for quicker results.", min=0.01, max=1)]
 EncodingOption = Annotated[Encoding, typer.Option(help="Encoding of the images; auto: 8-bit files are sRGB.")]
 Size = Annotated[int, typer.Option(help="Height and width in pixels.", min=1, max=4096)]
 Azimuth = Annotated[float, typer.Option(help="Degrees by which the camera moves to the right.", min=-360, max=360)]
@@ -40,8 +53,8 @@ FieldOfView = Annotated[
 ]
 Light = Annotated[str, typer.Option(metavar="X,Y,Z", help="Direction to the light: right, up, toward the viewer.")]
 
-VECTORS = ("--light", "--circle")
-"""Options that take three numbers, with commas or with spaces between them."""
+VECTORS = {"--light": 3, "--circle": 3, "--ball": 3, "--crop": 4}
+"""Options that take several numbers, and how many, with commas or with spaces between them."""
 FRAME_RADIUS = 1.05
 """Radius of the sphere that a view shows whole; meshes are scaled into the unit sphere, 5 % is margin."""
 
@@ -62,7 +75,7 @@ def join_vectors(arguments: Sequence[str]) -> list[str]:
             joined.append(option + equals + first)
             continue
         words = first.rstrip(",").split(",") if equals else []
-        while rest and len(words) < 3 and _is_number(rest[0].rstrip(",")):
+        while rest and len(words) < VECTORS[option] and _is_number(rest[0].rstrip(",")):
             words.append(rest.pop(0).rstrip(","))
         if not words and rest:
             words.append(rest.pop(0))
@@ -70,19 +83,17 @@ def join_vectors(arguments: Sequence[str]) -> list[str]:
     return joined
 
 
-def parse_vector(option: str, text: str) -> tuple[float, float, float]:
-    """Three finite numbers from ``X,Y,Z``.
+def parse_vector(option: str, text: str, example: str = "0.3,0.4,0.86") -> list[float]:
+    """As many finite numbers from ``X,Y,Z`` as the option takes.
 
     Raises:
         RangeError: anything else.
     """
     words = text.split(",")
-    if len(words) != 3 or not all(_is_number(word) for word in words):
-        raise RangeError(
-            option, expected="three numbers", got=repr(text), mend=f"write for example {option} 0.3,0.4,0.86"
-        )
-    x, y, z = (float(word) for word in words)
-    return x, y, z
+    if len(words) != VECTORS[option] or not all(_is_number(word) for word in words):
+        expected = f"{['three', 'four'][VECTORS[option] - 3]} numbers"
+        raise RangeError(option, expected=expected, got=repr(text), mend=f"write for example {option} {example}")
+    return [float(word) for word in words]
 
 
 def parse_direction(option: str, text: str) -> Tensor:

@@ -11,7 +11,21 @@ import typer
 
 from ..core.errors import RangeError
 from ..core.files import check_output
-from .options import EncodingOption, FieldOfView, LightFile, MaskFile, Output, PositionFile, Seed, StereoModel
+from .capture_options import load_from_options
+from .options import (
+    BallMask,
+    BallOutline,
+    Crop,
+    EncodingOption,
+    FieldOfView,
+    LightFile,
+    MaskChoice,
+    Output,
+    PositionFile,
+    Scale,
+    Seed,
+    StereoModel,
+)
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -26,8 +40,12 @@ def stereo(
     output: Output = Path("out"),
     model: Annotated[StereoModel, typer.Option(help="Reflectance model, or network; auto chooses.")] = "auto",
     lights: LightFile = None,
-    mask: MaskFile = None,
+    mask: MaskChoice = None,
     chrome: Annotated[Path | None, typer.Option(help="Folder of a chrome ball under the same lights.")] = None,
+    ball: BallOutline = None,
+    ball_mask: BallMask = None,
+    crop: Crop = None,
+    scale: Scale = 1.0,
     positions: PositionFile = None,
     distance: Annotated[
         float | None, typer.Option("--camera-distance", help="Camera to object in mm, for --positions.", min=1)
@@ -45,34 +63,24 @@ def stereo(
     seed: Seed = 0,
 ) -> None:
     """Photographs under several lights in; normals, albedo, roughness, depth and a mesh out."""
-    from ..io.capture import load_capture
     from ..io.results import RECONSTRUCTION_FILES, write_reconstruction
-    from ..stereo.solver import photometric_stereo
 
     if least_squares and model not in ("auto", "lambert"):
         raise RangeError("--least-squares", expected="no --model, or lambert", got=model, mend="leave one of them out")
     _check_near(positions, distance, fov, other=refine_lights or least_squares)
     check_output(output, RECONSTRUCTION_FILES)
     begun = time.perf_counter()
-    loaded = load_capture(
-        capture, lights=lights, mask=mask, chrome=chrome, positions=positions, ambient=ambient, encoding=encoding
-    )
+    loaded = load_from_options(
+        capture, lights=lights, mask=mask, chrome=chrome, positions=positions, ambient=ambient, encoding=encoding,
+        ball=ball, ball_mask=ball_mask, crop=crop, scale=scale,
+    )  # fmt: skip
     if own_intensities:
         loaded = loaded.with_own_intensities(seed=seed)
     ready = time.perf_counter()
     if distance is not None and fov is not None:
         found = _solve_near(loaded, model, distance, fov, seed)
     else:
-        found = photometric_stereo(
-            loaded.images,
-            loaded.lights,
-            loaded.mask,
-            model="lambert" if least_squares else model,
-            robust=not least_squares,
-            refine_lights=refine_lights,
-            valid=loaded.valid,
-            seed=seed,
-        )
+        found = _solve(loaded, model, least_squares=least_squares, refine_lights=refine_lights, seed=seed)
     seconds = time.perf_counter() - ready
     loaded = replace(loaded, images=loaded.images[:0].clone())  # frees the memory of large captures for drawing
     numbers = write_reconstruction(output, found, loaded, title=capture.resolve().name, seconds=seconds).numbers
@@ -114,6 +122,24 @@ def _check_near(positions: Path | None, distance: float | None, fov: float | Non
             got="other options",
             mend="measure the distance from the camera to the object in mm, and give the vertical angle of view",
         )
+
+
+def _solve(
+    loaded: Capture, model: StereoModel, *, least_squares: bool, refine_lights: bool, seed: int
+) -> Reconstruction:
+    """Solve under distant lights."""
+    from ..stereo.solver import photometric_stereo
+
+    return photometric_stereo(
+        loaded.images,
+        loaded.lights,
+        loaded.mask,
+        model="lambert" if least_squares else model,
+        robust=not least_squares,
+        refine_lights=refine_lights,
+        valid=loaded.valid,
+        seed=seed,
+    )
 
 
 def _solve_near(loaded: Capture, model: StereoModel, distance: float, fov: float, seed: int) -> Reconstruction:

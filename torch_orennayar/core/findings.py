@@ -20,6 +20,9 @@ CODES: dict[str, str] = {
     "intensities-from-capture": "light intensities were estimated from the capture itself",
     "lights-from-ball": "light directions come from a mirror ball; value: its radius in pixels",
     "no-mask": "no mask; every pixel is taken as the object",
+    "mask-found": "no mask; the object was found before its dark background",
+    "not-photographs": "number of pictures that their names tell to be something else, and were left out",
+    "size-changed": "the photographs were cut or reduced; value: the factor of their size",
     # reading a mesh
     "mesh-moved": "the mesh was moved to the origin before it was rounded; value: how far",
     "faces-twice": "number of faces that lay twice between the same vertices and were dropped",

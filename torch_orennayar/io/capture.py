@@ -3,32 +3,28 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 
 from ..core.defaults import independent_of_defaults
 from ..core.errors import FileError, RangeError
 from ..core.findings import Finding
-from ..stereo.calibrate import find_ball, find_circle, light_directions, own_intensities
-from .capture_lights import lights_from_photographs, pair_with_lights
+from ..geometry.primitives import Ball
+from ..stereo.calibrate import own_intensities
+from .ball_photographs import BallLights, lights_of_ball, lights_of_ball_beside
+from .capture_lights import GivenLights, given_ball, lights_from_photographs, read_lights
 from .encoding_choice import choose_encoding
 from .images import write_image
-from .light_files import (
-    DIRECTIONS_FILE,
-    INTENSITIES_FILE,
-    LightList,
-    find_light_file,
-    read_directions,
-    read_intensities,
-)
-from .light_positions import read_positions
+from .light_files import DIRECTIONS_FILE, INTENSITIES_FILE, read_intensities
 from .masks import find_mask, read_mask
-from .photographs import find_ambient, list_photographs, read_photographs
+from .object_mask import disc, find_object
+from .photographs import find_ambient, odd_pictures, read_photographs
+from .region import Region
 from .truth import read_truth
 
 
@@ -49,6 +45,8 @@ class Capture:
         valid: (K, 1, H, W) bool, False where a sample is at full scale and so not measured; None where none is.
         positions: (K, 3) of near lights, millimetres from where the camera's axis meets the object (x right, y up, z to
             the camera), where a file of them was read; ``lights`` are then their directions from there. Else None.
+        ball: the outline of a mirror ball among the photographs that the lights come from, or None.
+        ball_picture: (3, h, w) that ball with its outline and highlights drawn, or one of a folder of its own; or None.
     """
 
     images: Tensor
@@ -60,6 +58,8 @@ class Capture:
     notes: tuple[Finding, ...] = field(default=())
     valid: Tensor | None = None
     positions: Tensor | None = None
+    ball: Ball | None = None
+    ball_picture: Tensor | None = None
 
     @independent_of_defaults
     def with_own_intensities(self, *, seed: int = 0) -> Capture:
@@ -89,6 +89,10 @@ def load_capture(
     positions: str | os.PathLike[str] | None = None,
     ambient: str | os.PathLike[str] | None = None,
     encoding: str = "auto",
+    ball: Ball | Sequence[float] | None = None,
+    ball_mask: str | os.PathLike[str] | None = None,
+    crop: Sequence[int] | None = None,
+    scale: float = 1.0,
 ) -> Capture:
     """Load a capture: a DiLiGenT folder, a folder with a light file, an ``.lp`` file, or images with a mirror ball.
 
@@ -96,23 +100,31 @@ def load_capture(
     ``light_directions.txt``, ``lights.txt`` or ``lights.csv`` (one line ``x y z`` per image, with or without its name,
     or a table whose first line names its columns), or one ``*.lp``; ``light_intensities.txt`` (1 or 3 numbers per line,
     default 1); a mask, any picture with ``mask`` in its name (the opaque part where alpha varies, every label but 0, or
-    what is brighter than half the maximum; default: all pixels); ``ambient.*``, a photograph with all lights off, which
-    is subtracted; ``Normal_gt.mat`` or ``normal_gt.npy``, true normals (H, W, 3).
+    what is brighter than half the maximum); a photograph with all lights off (``ambient.*``, or a name that ends with
+    ``off`` or ``dark``), which is subtracted; ``Normal_gt.mat`` or ``normal_gt.npy``, true normals (H, W, 3). Pictures
+    called ``ref`` or ``preview``, or whose names end so, are left out.
 
-    Without a light file the lights are found from the photographs (`find_lights`), taken as equally bright unless these
-    show that they are not; a note says so.
+    Without a mask the object is found where it stands before a dark background; otherwise every pixel counts. Without a
+    light file a mirror ball beside the object is looked for, and then the lights are found from the photographs
+    themselves (`find_lights`), taken as equally bright unless these show that they are not. Notes say what was done.
 
     Args:
         path: the folder, or an ``.lp`` file beside its images.
         lights: a light file outside the folder.
-        mask: a mask image outside the folder; white is the object.
-        chrome: a folder of photographs of a mirror ball under the same lights in the same order, optionally with a
-            ``mask.png`` of the ball; directions are measured from its highlights and no light file is read.
+        mask: a mask image outside the folder; white is the object. ``"whole"``: every pixel.
+        chrome: a folder of photographs of a mirror ball under the same lights, of the same names or in the same order,
+            optionally with a ``mask.png`` of the ball; directions are measured from its highlights and no light file
+            is read.
         positions: a file of the positions of near lights (`read_positions`), instead of a light file.
         ambient: a photograph with all lights off, outside the folder.
         encoding: ``"linear"``, ``"srgb"``, or ``"auto"``: what the files state (profile, sRGB or gamma chunk, Exif),
             else 8-bit files are sRGB-encoded, unless under 8 lights or more they predict lights that are left out far
             better as linear light, and all others linear.
+        ball: the outline of a mirror ball, column and row of its centre and radius in pixels of the whole photographs:
+            those of ``chrome`` where it is given, else those of ``path``; no light file is read.
+        ball_mask: a mask of that ball instead, white on the ball.
+        crop: left, top, width and height of the part that is kept, in pixels of the upright photographs.
+        scale: factor in (0, 1] by which it is reduced, in linear light.
 
     Returns:
         A `Capture`.
@@ -120,7 +132,9 @@ def load_capture(
     Raises:
         FileError: a file is missing, damaged or truncated, or lies outside the folder; images differ in size,
             orientation, bit depth or encoding; the numbers of lights and images differ.
-        RangeError: unknown encoding, lights that are not unit vectors, intensities that are not positive.
+        RangeError: unknown encoding, lights that are not unit vectors, intensities that are not positive, a crop that
+            leaves the pictures, a scale out of range.
+        CaptureError: no ball where one is marked, or a photograph without a highlight on it.
         MissingPackageError: a package that reads the files is not installed.
 
     Source:
@@ -143,72 +157,91 @@ def load_capture(
             str(source), expected="a capture folder or .lp file", got="nothing there", mend="check the path"
         )
     folder = source if source.is_dir() else source.parent
-    mask_file = Path(mask) if mask is not None else find_mask(folder)
+    mask_file = None if mask == "whole" else Path(mask) if mask is not None else find_mask(folder)
     ambient_file = Path(ambient) if ambient is not None else find_ambient(folder)
     others = tuple(f for f in (mask_file, ambient_file) if f is not None)
-    files, listed, near, notes = _read_lights(source, others, lights, chrome, positions, encoding)
-    intensities, no_intensities = read_intensities(folder, len(files))
-    if listed.intensities is not None:
-        intensities, no_intensities = listed.intensities.expand(-1, 3).contiguous(), ()
-
-    def photographed(encoding: str) -> Capture:
-        """The capture read in that encoding, its lights found where they are not known."""
-        images, valid, decisions = read_photographs(files, encoding, intensities, ambient_file)
-        size = (images.shape[2], images.shape[3])
-        inside, about_mask = read_mask(mask_file, size)
-        directions, divisor, found = listed.directions, intensities, notes
-        if not len(directions):
-            directions, brightness, about_lights = lights_from_photographs(folder, images, inside, valid)
-            found = (*notes, *about_lights)
-            images, divisor = images.div_(brightness[:, :, None, None]), intensities * brightness
-        return Capture(
-            images=images,
-            lights=directions,
-            intensities=divisor,
-            mask=inside,
-            normal=read_truth(folder, size),
-            names=tuple(f.name for f in files),
-            notes=(*found, *no_intensities, *decisions, *about_mask),
-            valid=valid,
-            positions=near,
-        )
-
-    capture = photographed(encoding)
-    if encoding != "auto" or near is not None or "read-as-srgb" not in {note.code for note in capture.notes}:
+    marked = given_ball(ball, ball_mask)
+    given = read_lights(
+        source, others, lights=lights, chrome=chrome, positions=positions, ball=marked, encoding=encoding
+    )
+    plan = _Plan(
+        folder,
+        given,
+        mask_file,
+        ambient_file,
+        Region(crop, scale),
+        marked if chrome is None else None,
+        whole=mask == "whole",
+        notes=odd_pictures(folder, (*given.files, *others)),
+    )
+    capture = _read(plan, encoding)
+    if encoding != "auto" or given.positions is not None or "read-as-srgb" not in {n.code for n in capture.notes}:
         return capture
     is_linear, chosen = choose_encoding(capture.images, capture.lights, capture.intensities, capture.mask[0])
-    capture = photographed("linear") if is_linear else capture
+    capture = _read(plan, "linear") if is_linear else capture
     return replace(capture, notes=(*capture.notes, *chosen))
 
 
-def _read_lights(
-    source: Path,
-    others: tuple[Path, ...],
-    lights: str | os.PathLike[str] | None,
-    chrome: str | os.PathLike[str] | None,
-    positions: str | os.PathLike[str] | None,
-    encoding: str,
-) -> tuple[list[Path], LightList, Tensor | None, tuple[Finding, ...]]:
-    """Image files, their lights or an empty list, positions of near lights, and what was found."""
-    folder = source if source.is_dir() else source.parent
-    if sum(given is not None for given in (chrome, lights, positions)) > 1:
-        raise FileError(
-            str(chrome or positions),
-            expected="a light file, a chrome ball or a file of positions",
-            got="more than one",
-            mend="leave the others out",
-        )
-    if positions is not None:
-        files, listed = pair_with_lights(folder, Path(positions), others, read_positions)
-        return files, listed._replace(directions=F.normalize(listed.directions, dim=1)), listed.directions, ()
-    if chrome is not None:
-        files = list_photographs(folder, others)
-        directions, note = _ball_directions(Path(chrome), len(files), encoding)
-        return files, LightList([], directions), None, (note,)
-    light_file = Path(lights) if lights is not None else find_light_file(source)
-    if light_file is not None:
-        return *pair_with_lights(folder, light_file, others, read_directions), None, ()
-    return list_photographs(folder, others), LightList([], torch.empty(0, 3)), None, ()
+@dataclass(frozen=True)
+class _Plan:
+    """What is known of a capture before its photographs are read: files, lights, region, marked ball."""
+
+    folder: Path
+    given: GivenLights
+    mask: Path | None
+    ambient: Path | None
+    region: Region
+    ball: Ball | None
+    whole: bool
+    notes: tuple[Finding, ...]
+
+
+def _read(plan: _Plan, encoding: str) -> Capture:
+    """The capture read in that encoding, its mask and its lights found where they are not known."""
+    given, region, lights = plan.given, plan.region, plan.given.directions
+    intensities, no_intensities = read_intensities(plan.folder, len(given.files))
+    if given.intensities is not None:
+        intensities, no_intensities = given.intensities.expand(-1, 3).contiguous(), ()
+    images, size, valid, decisions = read_photographs(given.files, encoding, intensities, plan.ambient, region)
+    inside, about_mask = _mask(plan, images, size)
+    beside, about_lights = None if lights is not None else _ball_beside(plan, images, inside), given.notes
+    if beside is not None:
+        lights, about_lights = beside.directions, (beside.finding,)
+        if plan.mask is None and not plan.whole:
+            inside = inside & ~disc(beside.ball, (images.shape[2], images.shape[3]))
+    elif lights is None:
+        lights, brightness, about_lights = lights_from_photographs(plan.folder, images, inside, valid)
+        images, intensities = images.div_(brightness[:, :, None, None]), intensities * brightness
+    ball = beside or given.ball
+    return Capture(
+        images=images,
+        lights=lights,
+        intensities=intensities,
+        mask=inside,
+        normal=region.apply_normals(read_truth(plan.folder, size)),
+        names=tuple(f.name for f in given.files),
+        notes=(*about_lights, *no_intensities, *decisions, *plan.notes, *about_mask),
+        valid=valid,
+        positions=given.positions,
+        ball=None if beside is None else beside.ball,
+        ball_picture=None if ball is None else ball.picture,
+    )
+
+
+def _ball_beside(plan: _Plan, images: Tensor, inside: Tensor) -> BallLights | None:
+    """The ball that is marked, or else one that is seen in the photographs."""
+    if plan.ball is not None:
+        return lights_of_ball(images, plan.region.move(plan.ball))
+    return lights_of_ball_beside(images, inside)
+
+
+def _mask(plan: _Plan, images: Tensor, size: tuple[int, int]) -> tuple[Tensor, tuple[Finding, ...]]:
+    """The mask of the region, from its file or from the images, and what was decided."""
+    if plan.mask is None and not plan.whole:
+        found = find_object(images)
+        return found.inside, (found.finding,)
+    inside, findings = read_mask(plan.mask, size)
+    return plan.region.apply_mask(inside), findings
 
 
 def _check_encoding(encoding: str) -> None:
@@ -240,7 +273,7 @@ def load_photograph(
         RangeError: unknown encoding.
     """
     _check_encoding(encoding)
-    images, valid, notes = read_photographs([Path(path)], encoding, torch.ones(1, 3))
+    images, _, valid, notes = read_photographs([Path(path)], encoding, torch.ones(1, 3))
     size = (images.shape[2], images.shape[3])
     inside, about_mask = read_mask(None if mask is None else Path(mask), size)
     notes = (*notes, *about_mask)
@@ -276,47 +309,3 @@ def save_capture(
     write_image(folder / "mask.png", mask.float())
     if normal is not None:
         np.save(folder / "normal_gt.npy", normal.permute(1, 2, 0).cpu().numpy())
-
-
-@independent_of_defaults
-def load_ball(
-    path: str | os.PathLike[str], *, mask: str | os.PathLike[str] | None = None, encoding: str = "auto"
-) -> tuple[Tensor, Tensor | None]:
-    """Read photographs of a calibration ball whose lights are not known.
-
-    Args:
-        path: a folder; ``mask.png`` in it is the ball's mask, white on the ball.
-        mask: a mask outside the folder.
-        encoding: as in `load_capture`.
-
-    Returns:
-        Images (K, 3, H, W) in linear light, and the mask (1, H, W) bool or None.
-
-    Raises:
-        FileError: as `load_capture`.
-    """
-    folder = Path(path)
-    if not folder.is_dir():
-        raise FileError(str(folder), expected="a folder of photographs", got="no folder", mend="check the name")
-    mask_file = Path(mask) if mask is not None else find_mask(folder)
-    files = list_photographs(folder, () if mask_file is None else (mask_file,))
-    images = read_photographs(files, encoding, torch.ones(len(files), 3)).images
-    if mask_file is None:
-        return images, None
-    inside, _ = read_mask(mask_file, (images.shape[2], images.shape[3]))
-    return images, inside
-
-
-def _ball_directions(folder: Path, count: int, encoding: str) -> tuple[Tensor, Finding]:
-    """Light directions (K, 3) from photographs of a mirror ball."""
-    images, mask = load_ball(folder, encoding=encoding)
-    if len(images) != count:
-        raise FileError(
-            str(folder),
-            expected=f"{count} photographs, one per light",
-            got=str(len(images)),
-            mend="give one photograph of the ball per image",
-        )
-    ball = find_circle(images) if mask is None else find_ball(mask)
-    text = f"lights from the chrome ball at ({ball.x:.1f}, {ball.y:.1f}), radius {ball.radius:.1f} pixels."
-    return light_directions(images, ball), Finding(text, "lights-from-ball", ball.radius)

@@ -2,18 +2,115 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple, TypeAlias
 
+import torch.nn.functional as F
 from torch import Tensor
 
-from ..core.errors import CaptureError, FileError
+from ..core.errors import CaptureError, FileError, RangeError
 from ..core.findings import Finding
+from ..geometry.primitives import Ball
+from ..stereo.calibrate import find_ball
 from ..stereo.unknown_lights import search_lights, warn_of_doubts
-from .light_files import LIGHT_FILES, LightList, find_intensity_file
+from .ball_photographs import BallLights, lights_of_ball_folder
+from .light_files import LIGHT_FILES, LightList, find_intensity_file, find_light_file, read_directions
+from .light_positions import read_positions
 from .listed_names import match_names
+from .masks import read_mask_alone
 from .photographs import list_photographs
+
+PathLike: TypeAlias = str | os.PathLike[str]
+
+
+class GivenLights(NamedTuple):
+    """The photographs of a capture, and what is known of their lights before they are looked at.
+
+    Attributes:
+        files: the photographs.
+        directions: (K, 3), or None where the photographs must tell them.
+        intensities: (K, 1 or 3), or None.
+        positions: (K, 3) of near lights in mm, or None.
+        ball: the ball in photographs of its own that told the directions, or None.
+        notes: what was found.
+    """
+
+    files: list[Path]
+    directions: Tensor | None = None
+    intensities: Tensor | None = None
+    positions: Tensor | None = None
+    ball: BallLights | None = None
+    notes: tuple[Finding, ...] = ()
+
+
+def read_lights(
+    source: Path,
+    others: tuple[Path, ...],
+    *,
+    lights: PathLike | None,
+    chrome: PathLike | None,
+    positions: PathLike | None,
+    ball: Ball | None,
+    encoding: str,
+) -> GivenLights:
+    """The photographs of a folder or ``.lp`` file and their lights, from the one source that is given.
+
+    Args:
+        source: the folder or ``.lp`` file.
+        others: pictures that are no photographs.
+        lights: a light file.
+        chrome: a folder of photographs of a ball.
+        positions: a file of near lights.
+        ball: a marked ball, in the photographs of ``chrome`` or else in those of the capture.
+        encoding: of the photographs of the ball.
+
+    Raises:
+        FileError: more than one source, a file that cannot be read, or numbers that differ.
+    """
+    folder = source if source.is_dir() else source.parent
+    sources = [s for s in (chrome, lights, positions, ball if chrome is None else None) if s is not None]
+    if len(sources) > 1:
+        raise FileError(
+            str(sources[0]),
+            expected="a light file, a mirror ball or a file of positions",
+            got="more than one",
+            mend="leave the others out",
+        )
+    if positions is not None:
+        files, listed = pair_with_lights(folder, Path(positions), others, read_positions)
+        toward = F.normalize(listed.directions, dim=1)
+        return GivenLights(files, toward, listed.intensities, listed.directions)
+    if chrome is not None:
+        files = list_photographs(folder, others)
+        found = lights_of_ball_folder(Path(chrome), [f.name for f in files], encoding, ball)
+        return GivenLights(files, found.directions, ball=found, notes=(found.finding,))
+    light_file = Path(lights) if lights is not None else find_light_file(source)
+    if light_file is not None and ball is None:
+        files, listed = pair_with_lights(folder, light_file, others, read_directions)
+        return GivenLights(files, listed.directions, listed.intensities)
+    return GivenLights(list_photographs(folder, others))
+
+
+def given_ball(ball: Ball | Sequence[float] | None, mask: PathLike | None) -> Ball | None:
+    """The ball that is marked by its outline or by its mask.
+
+    Raises:
+        RangeError: both, or no outline.
+        CaptureError: a mask that is not round.
+    """
+    if mask is not None and ball is not None:
+        raise RangeError("ball", expected="an outline or a mask of the ball", got="both", mend="leave one of them out")
+    if mask is not None:
+        return find_ball(read_mask_alone(Path(mask)))
+    if ball is None or isinstance(ball, Ball):
+        return ball
+    if len(ball) != 3 or not ball[2] > 0:
+        mend = "give column, row and radius in pixels"
+        raise RangeError("ball", expected="(x, y, radius) with radius > 0", got=str(ball), mend=mend)
+    return Ball(*(float(v) for v in ball))
 
 
 def lights_from_photographs(
@@ -33,7 +130,8 @@ def lights_from_photographs(
             str(folder),
             expected=f"a light file ({', '.join(LIGHT_FILES)} or .lp), or photographs that show their lights",
             got=f"no such file, and {error.got}",
-            mend=f"write one line 'x y z' per image, or pass lights= (--lights); or {error.mend}",
+            mend=f"write one line 'x y z' per image, or pass lights= (--lights); mark a mirror ball that is in the "
+            f"photographs (--ball X,Y,RADIUS in pixels); or {error.mend}",
         ) from error
     warn_of_doubts(found)
     return found.directions, found.brightness[:, None], found.findings

@@ -81,6 +81,16 @@ def read_mask(file: Path | None, size: tuple[int, int]) -> tuple[Tensor, tuple[F
     return torch.from_numpy(np.ascontiguousarray(inside))[None], tuple(findings)
 
 
+def read_mask_alone(file: Path) -> Tensor:
+    """The mask (1, H, W) bool, of whatever size it has.
+
+    Raises:
+        FileError: a missing, damaged or empty mask.
+    """
+    height, width = read_picture(file).samples.shape[:2]
+    return read_mask(file, (height, width))[0]
+
+
 def _object(file: Path, picture: Picture) -> tuple[npt.NDArray[np.bool_], list[Finding]]:
     samples, alpha = picture.samples, picture.alpha
     if alpha is not None and alpha.max() - alpha.min() > VARIES:

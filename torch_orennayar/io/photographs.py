@@ -24,14 +24,17 @@ from .light_text import clean_name, read_lines
 from .listed_names import path_inside
 from .masks import is_mask
 from .picture import HEIF_SUFFIXES, IMAGE_SUFFIXES, RAW_SUFFIXES, Picture, read_picture, to_unit
+from .region import WHOLE, Region
 
 Floats: TypeAlias = npt.NDArray[np.float32]
 
 HALF_FROM = 1 << 29
 """Number of samples of a capture (K x 3 x H x W) from which images are kept in half precision, which rounds each value
 by at most 0.05 % and halves the memory; set by hand: 2 GiB in float32."""
-AMBIENT = "ambient"
-"""Name, without suffix, of a photograph taken with all lights off; a convention of this package."""
+DARK_WORDS = ("ambient", "off", "dark", "black")
+"""A photograph of one of these names, or whose name ends with one, was taken with all lights off."""
+OTHER_WORDS = ("ref", "reference", "preview", "thumbnail", "thumb")
+"""A picture of one of these names, or whose name ends with one, shows the scene in some other way."""
 READERS = 4
 """Threads that decode photographs, at most; set by hand. Each holds its image several times over."""
 
@@ -39,7 +42,7 @@ READERS = 4
 def list_photographs(folder: Path, others: Sequence[Path]) -> list[Path]:
     """Photographs of a capture in natural order: those in ``filenames.txt``, else images that are nothing else.
 
-    Masks, ``others`` and results that this package wrote there are something else.
+    Masks, ``others``, `odd_pictures` and results that this package wrote there are something else.
 
     Raises:
         FileError: a listed name that leads out of the folder, or nothing that can be read.
@@ -58,7 +61,7 @@ def list_photographs(folder: Path, others: Sequence[Path]) -> list[Path]:
 
     def is_photograph(file: Path) -> bool:
         hidden = file.name.startswith(".") or file.name in results or is_mask(file)
-        hidden = hidden or file.resolve() in {other.resolve() for other in others}
+        hidden = hidden or file.resolve() in {other.resolve() for other in others} or _is_odd(file)
         return file.suffix.lower() in IMAGE_SUFFIXES and not hidden
 
     found = sorted(filter(is_photograph, folder.iterdir()), key=natural)
@@ -73,9 +76,42 @@ def list_photographs(folder: Path, others: Sequence[Path]) -> list[Path]:
 
 
 def find_ambient(folder: Path) -> Path | None:
-    """The photograph with all lights off in ``folder``, if it has one."""
-    found = [f for f in sorted(folder.iterdir()) if f.stem.lower() == AMBIENT and f.suffix.lower() in IMAGE_SUFFIXES]
-    return found[0] if found else None
+    """The photograph with all lights off in ``folder``, if it has one: ``ambient.*``, else the only one named so.
+
+    Raises:
+        FileError: several, none of which is called ``ambient``.
+    """
+    found = [f for f in _pictures(folder) if _named(f, DARK_WORDS)]
+    exact = [f for f in found if f.stem.lower() == DARK_WORDS[0]]
+    if len(exact or found) > 1:
+        listed = ", ".join(f.name for f in exact or found)
+        mend = "give the right one as ambient= (--ambient), or move the others away"
+        raise FileError(str(folder), expected="one photograph with all lights off", got=listed[:200], mend=mend)
+    return next(iter(exact or found), None)
+
+
+def odd_pictures(folder: Path, used: Sequence[Path]) -> tuple[Finding, ...]:
+    """A finding that names pictures which are taken for no photographs by their names, ``used`` ones left out."""
+    odd = [f.name for f in _pictures(folder) if _is_odd(f) and f.resolve() not in {u.resolve() for u in used}]
+    text = (
+        f"taken for no photographs by their names: {', '.join(odd)}; list the photographs in filenames.txt if they are."
+    )
+    return (Finding(text, "not-photographs", len(odd)),) if odd else ()
+
+
+def _pictures(folder: Path) -> list[Path]:
+    results = written_files(folder)
+    files = (f for f in sorted(folder.iterdir()) if not f.name.startswith(".") and f.name not in results)
+    return [f for f in files if f.suffix.lower() in IMAGE_SUFFIXES]
+
+
+def _is_odd(file: Path) -> bool:
+    return _named(file, DARK_WORDS + OTHER_WORDS)
+
+
+def _named(file: Path, words: tuple[str, ...]) -> bool:
+    """Whether one of ``words`` is the name, or its last part after a sign that joins words."""
+    return re.split(r"[ ._-]+", file.stem.lower())[-1] in words
 
 
 class Photographs(NamedTuple):
@@ -83,17 +119,23 @@ class Photographs(NamedTuple):
 
     Attributes:
         images: (K, 3, H, W) linear light.
+        size: (height, width) of the whole photographs.
         valid: (K, 1, H, W) bool, where no channel is at full scale; None where that is everywhere.
         findings: what was decided on the way.
     """
 
     images: Tensor
+    size: tuple[int, int]
     valid: Tensor | None
     findings: tuple[Finding, ...]
 
 
 def read_photographs(
-    files: Sequence[Path], encoding: str, intensities: Tensor, ambient: Path | None = None
+    files: Sequence[Path],
+    encoding: str,
+    intensities: Tensor,
+    ambient: Path | None = None,
+    region: Region = WHOLE,
 ) -> Photographs:
     """Images in linear light divided by ``intensities`` (K, 3).
 
@@ -102,6 +144,7 @@ def read_photographs(
         encoding: as `load_capture` takes it.
         intensities: RGB irradiance per photograph.
         ambient: a photograph with all lights off, which is subtracted before the division.
+        region: the part that is kept, and its size.
 
     Raises:
         FileError: no files, damaged ones, or images of more than one size or bit depth.
@@ -110,17 +153,22 @@ def read_photographs(
         raise FileError("images", expected="image files in the folder", got="none", mend="check the folder")
     first = read_picture(files[0])
     linear, decisions = _choose_encoding(first, encoding)
-    large = len(files) * 3 * first.samples.shape[0] * first.samples.shape[1] > HALF_FROM
+    size = (first.samples.shape[0], first.samples.shape[1])
+    region.check(size)
 
     def decode(file: Path) -> tuple[Tensor, Tensor]:
         picture = read_picture(file)
         _check_same_kind(file, picture, files[0], first)
         light = torch.from_numpy(linear(to_unit(picture.samples)))
-        return light.expand(3, -1, -1) if light.ndim == 2 else light.permute(2, 0, 1), _below_full_scale(picture)
+        light = light[None] if light.ndim == 2 else light.permute(2, 0, 1)
+        below = region.apply_mask(_below_full_scale(picture)[None], share=1.0)
+        return region.apply(light).expand(3, -1, -1), below
 
     dark = None if ambient is None else decode(ambient)[0]
-    valid = torch.empty((len(files), 1, *first.samples.shape[:2]), dtype=torch.bool)
-    result = torch.empty((len(files), 3, *first.samples.shape[:2]), dtype=torch.float16 if large else torch.float32)
+    kept = region.apply_mask(torch.ones(1, *size, dtype=torch.bool)).shape[1:]
+    large = len(files) * 3 * kept.numel() > HALF_FROM
+    valid = torch.empty((len(files), 1, *kept), dtype=torch.bool)
+    result = torch.empty((len(files), 3, *kept), dtype=torch.float16 if large else torch.float32)
 
     def fill(index: int) -> None:
         image, valid[index] = decode(files[index])
@@ -134,8 +182,8 @@ def read_photographs(
         except BaseException:
             pool.shutdown(cancel_futures=True)
             raise
-    findings = (*decisions, *_other_findings(first, large, ambient))
-    return Photographs(result, None if bool(valid.all()) else valid, findings)
+    findings = (*decisions, *_other_findings(first, large, ambient), *_region_finding(region, size, kept))
+    return Photographs(result, size, None if bool(valid.all()) else valid, findings)
 
 
 def _below_full_scale(picture: Picture) -> Tensor:
@@ -177,6 +225,13 @@ def _other_findings(picture: Picture, large: bool, ambient: Path | None) -> list
         text = f"{ambient.name}, taken with all lights off, was subtracted."
         found.append(Finding(text, "ambient-subtracted"))
     return found
+
+
+def _region_finding(region: Region, whole: Sequence[int], kept: Sequence[int]) -> list[Finding]:
+    if region.is_whole:
+        return []
+    text = f"photographs of {whole[1]} x {whole[0]} pixels cut or reduced to {kept[1]} x {kept[0]}."
+    return [Finding(text, "size-changed", region.scale)]
 
 
 def _check_same_kind(file: Path, picture: Picture, first_file: Path, first: Picture) -> None:

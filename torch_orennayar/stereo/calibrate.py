@@ -129,7 +129,7 @@ def light_directions(images: Tensor, ball: Ball) -> Tensor:
     """Directions to distant lights from photographs of a mirror ball, orthographic view.
 
     The centre of the highlight determines the normal there; the light is the view reflected about that normal, which
-    lies halfway between both.
+    lies halfway between both. What the ball mirrors under most lights, a window say, is subtracted from 3 images on.
 
     Args:
         images: (K, C, H, W) linear light, one per light.
@@ -158,8 +158,10 @@ def light_directions(images: Tensor, ball: Ball) -> Tensor:
     _check_images(images)
     _, inside = ball.normals((images.shape[2], images.shape[3]))
     lights = []
-    for index, image in enumerate(images.mean(1).cpu()):
-        grey = torch.where(inside[0], image, 0.0)
+    greys = images.float().mean(1).cpu()
+    steady = greys.median(0).values if len(greys) >= 3 else torch.zeros_like(greys[0])
+    for index, image in enumerate(greys):
+        grey = torch.where(inside[0], (image - steady).clamp_min(0), 0.0)
         bright = grey >= HIGHLIGHT * grey.max()
         where = f"image {index + 1}"
         if not bool(grey.max() > 0) or bool(bright.sum() > LARGEST_HIGHLIGHT * inside.sum()):
