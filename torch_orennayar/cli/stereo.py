@@ -60,9 +60,12 @@ def stereo(
         bool, typer.Option("--refine-lights", help="Replace lights of the file that the photographs contradict.")
     ] = False,
     least_squares: Annotated[bool, typer.Option("--least-squares", help="Plain Lambertian least squares.")] = False,
+    report: Annotated[bool, typer.Option(" /--no-report", help="Write no figures and no report.html.")] = True,
+    animation: Annotated[bool, typer.Option(" /--no-animation", help="Write no relight.gif and turntable.gif.")] = True,
     seed: Seed = 0,
 ) -> None:
     """Photographs under several lights in; normals, albedo, roughness, depth and a mesh out."""
+    from ..io.contact_sheet import thumbnails
     from ..io.results import RECONSTRUCTION_FILES, write_reconstruction
 
     if least_squares and model not in ("auto", "lambert"):
@@ -82,13 +85,21 @@ def stereo(
     else:
         found = _solve(loaded, model, least_squares=least_squares, refine_lights=refine_lights, seed=seed)
     seconds = time.perf_counter() - ready
+    shown = thumbnails(loaded, found.lights) if report else ()
     loaded = replace(loaded, images=loaded.images[:0].clone())  # frees the memory of large captures for drawing
-    numbers = write_reconstruction(output, found, loaded, title=capture.resolve().name, seconds=seconds).numbers
+    written = write_reconstruction(
+        output, found, loaded, title=capture.resolve().name, seconds=seconds, shown=shown, report=report,
+        animation=animation, pixel_mm=None if fov is None else _pixel_mm(loaded, distance, fov),
+    )  # fmt: skip
     if found.lights is not None or "lights-found" in {note.code for note in loaded.notes}:
         _write_lights(output, loaded.lights if found.lights is None else found.lights, loaded.intensities)
-    _say(numbers)
-    total, loading = time.perf_counter() - begun, ready - begun
-    typer.echo(f"{total:.1f} s in all: {loading:.1f} s loading, {seconds:.1f} s solving; open {output / 'report.html'}")
+    _say(written.numbers)
+    _say_seconds(time.perf_counter() - begun, {"loading": ready - begun, "solving": seconds, **written.seconds})
+    typer.echo(f"open {output / ('report.html' if report else 'mesh.glb')}")
+
+
+def _say_seconds(total: float, steps: dict[str, float]) -> None:
+    typer.echo(f"{total:.1f} s in all: {', '.join(f'{taken:.1f} {name}' for name, taken in steps.items())}")
 
 
 def _write_lights(output: Path, directions: Tensor, intensities: Tensor) -> None:
@@ -161,5 +172,12 @@ def _solve_near(loaded: Capture, model: StereoModel, distance: float, fov: float
         seed=seed,
     )
     assert found.depth is not None
-    pixel = 2 * distance * math.tan(math.radians(fov) / 2) / loaded.mask.shape[1]
-    return replace(found, depth=(distance - found.depth) / pixel * loaded.mask)
+    return replace(found, depth=(distance - found.depth) / _pixel_mm(loaded, distance, fov) * loaded.mask)
+
+
+def _pixel_mm(loaded: Capture, distance: float | None, fov: float) -> float:
+    """Millimetres of the object that a pixel covers at the distance of the camera."""
+    import math
+
+    assert distance is not None  # comes with fov, see _check_near
+    return 2 * distance * math.tan(math.radians(fov) / 2) / loaded.mask.shape[1]

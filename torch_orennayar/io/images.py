@@ -61,9 +61,6 @@ def write_image(path: str | os.PathLike[str], image: Tensor, *, bits: int = 8) -
         ShapeError: not (1|3, H, W).
         FileError: the format cannot hold it, or the place cannot be written.
     """
-    require("cv2")
-    import cv2
-
     if image.ndim != 3 or image.shape[0] not in (1, 3):
         raise ShapeError("image", expected="(1, H, W) or (3, H, W)", got=str(tuple(image.shape)), mend="reshape it")
     file = Path(path)
@@ -71,17 +68,35 @@ def write_image(path: str | os.PathLike[str], image: Tensor, *, bits: int = 8) -
         raise FileError(
             str(file), expected="8 bits, or 16 bits as .png or .tiff", got=f"{bits} bits", mend="change one of them"
         )
+    with atomic_path(file) as temporary:
+        temporary.write_bytes(picture_bytes(image, file.suffix, bits=bits, name=str(file)))
+
+
+def picture_bytes(image: Tensor, suffix: str, *, bits: int = 8, name: str = "image") -> bytes:
+    """The content of a picture file.
+
+    Args:
+        image: (1|3, H, W) in [0, 1]; values outside are clamped, NaN is written as 0.
+        suffix: of the format, as ``".png"``.
+        bits: 8 or 16.
+        name: of the file, for the error.
+
+    Raises:
+        FileError: a format that OpenCV does not write.
+    """
+    require("cv2")
+    import cv2
+
     kind, top = (np.uint8, 255) if bits == 8 else (np.uint16, 65535)
     values = image.detach().cpu().double().nan_to_num(0.0).clamp(0, 1) * top
     array = values.round().permute(1, 2, 0).numpy().astype(kind)[..., ::-1]
     try:
-        done, data = cv2.imencode(file.suffix, array)
+        done, data = cv2.imencode(suffix, array)
     except cv2.error:
         done, data = False, np.empty(0, np.uint8)
     if not done:
-        raise FileError(str(file), expected="a .png or .tiff name", got=file.suffix or "no suffix", mend="rename it")
-    with atomic_path(file) as temporary:
-        temporary.write_bytes(data.tobytes())
+        raise FileError(name, expected="a .png or .tiff name", got=suffix or "no suffix", mend="rename it")
+    return bytes(data.tobytes())
 
 
 def write_animation(path: str | os.PathLike[str], frames: Sequence[Tensor], *, rate: int = 12) -> None:

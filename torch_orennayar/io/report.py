@@ -21,12 +21,24 @@ _PAGE = """<!doctype html>
   h1 { font-size: 1.6rem } h2 { font-size: 1.2rem; margin-top: 2.2rem }
   .pictures { display: flex; flex-wrap: wrap; gap: .8rem; margin: .8rem 0 } img { max-width: 100%; height: auto }
   table { border-collapse: collapse; margin: .8rem 0 } td, th { padding: .25rem .8rem; border-bottom: 1px solid #ddd }
-  th { text-align: left } td + td { text-align: right; font-variant-numeric: tabular-nums }
-  .wide { overflow-x: auto } footer { margin: 3rem 0 1rem; color: #777; font-size: .85rem }
+  th { text-align: left } td { vertical-align: top; font-variant-numeric: tabular-nums }
+  .wide { overflow-x: auto } .verdict { border-left: .5rem solid; padding: .1rem 1rem; border-radius: .3rem }
+  .good { border-color: #2a8a4a; background: #eef8f0 } .look { border-color: #c58a00; background: #fdf6e3 }
+  .doubtful { border-color: #b3261e; background: #fdecea } .verdict h2 { margin: .6rem 0 }
+  .contact { display: grid; grid-template-columns: repeat(auto-fill, minmax(7rem, 1fr)); gap: .5rem }
+  figure { margin: 0 } figcaption { font-size: .8rem; color: #555; overflow-wrap: anywhere }
+  .contact img { width: 100% }
+  .dial { width: 1.3rem; vertical-align: middle } .dial circle { fill: none; stroke: #888 }
+  .dial line { stroke: #c58a00 } .dial .lamp { fill: #c58a00; stroke: none }
+  .pictures figure { max-width: min(100%, 30rem) }
+  .viewer canvas { width: min(100%, 30rem); touch-action: none }
+  .viewer canvas { border: 1px solid #ddd; cursor: grab } .viewer label { margin-right: 1rem; white-space: nowrap }
+  @media print { .viewer p { display: none } section { break-inside: avoid } body { margin: 0; max-width: none } }
+  footer { margin: 3rem 0 1rem; color: #777; font-size: .85rem }
 </style>
 <h1>{{ title }}</h1>
 {% for section in sections %}
-<section>
+<section{% if section.kind %} class="verdict {{ section.kind }}"{% endif %}>
 <h2>{{ section.heading }}</h2>
 {% for line in section.text %}<p>{{ line }}</p>
 {% endfor %}
@@ -34,9 +46,10 @@ _PAGE = """<!doctype html>
 <tr>{% for cell in section.columns %}<th>{{ cell }}</th>{% endfor %}</tr>
 {% for row in section.rows %}<tr>{% for cell in row %}<td>{{ cell }}</td>{% endfor %}</tr>
 {% endfor %}</table></div>{% endif %}
-<div class="pictures">{% for picture in section.pictures %}
+{{ section.markup|safe }}
+{% if section.pictures %}<div class="pictures">{% for picture in section.pictures %}
 <img alt="{{ section.heading }}: {{ picture.stem }}" src="{{ embed(picture) }}">{% endfor %}
-</div>
+</div>{% endif %}
 </section>
 {% endfor %}
 <footer>{{ footer }}</footer>
@@ -54,6 +67,8 @@ class Section:
         columns: the table's header.
         rows: the table's cells.
         pictures: PNG or GIF files, embedded.
+        markup: HTML that is put in as it is.
+        kind: of a verdict, ``"good"``, ``"look"`` or ``"doubtful"``; else empty.
     """
 
     heading: str
@@ -61,6 +76,8 @@ class Section:
     columns: Sequence[str] = ()
     rows: Sequence[Sequence[str]] = field(default=())
     pictures: Sequence[Path] = ()
+    markup: str = ""
+    kind: str = ""
 
 
 def write_report(path: str | os.PathLike[str], title: str, sections: Sequence[Section]) -> Path:

@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import torch
-from torch import Tensor
 
 from ..geometry.camera import Camera
 from ..geometry.mesh import depth_to_mesh, normalise_mesh
@@ -17,6 +16,7 @@ from ..shading.layer import OrenNayar
 from .figures import show_light
 from .images import write_animation
 from .result_maps import ResultMaps
+from .srgb import as_rgb
 
 FRAMES = 24
 """Pictures of an animation: 2 seconds at the default rate; set by hand."""
@@ -44,7 +44,7 @@ def write_relighting(path: Path, found: Reconstruction, top: float) -> None:
     angle = torch.arange(FRAMES) * (2 * math.pi / FRAMES)
     lights = torch.stack((angle.sin(), angle.cos(), torch.full_like(angle, 1.2)), 1)
     images = small.shade(torch.nn.functional.normalize(lights, dim=1)) / top
-    write_animation(path, [show_light(_grey_or_rgb(image), mask) for image in images])
+    write_animation(path, [show_light(as_rgb(image), mask) for image in images])
 
 
 def write_turntable(path: Path, maps: ResultMaps) -> None:
@@ -70,8 +70,3 @@ def write_turntable(path: Path, maps: ResultMaps) -> None:
         tint = torch.einsum("hwkc,khw->chw", at_corners, seen.barycentric[0])[None]
         pictures.append(show_light(seen.shade(layer, light, albedo=tint)[0], seen.mask[0]))
     write_animation(path, pictures)
-
-
-def _grey_or_rgb(image: Tensor) -> Tensor:
-    """(1|3, H, W) as it is, any other number of channels as their mean."""
-    return image if len(image) in (1, 3) else image.mean(0, True)

@@ -90,10 +90,18 @@ class ResultMaps:
             arrays["specular"] = self.specular
         return arrays
 
+    @property
+    def roughness_varies(self) -> bool:
+        """Whether the roughness is a map and not one number."""
+        inside = self.roughness[self.mask]
+        return bool(inside.numel()) and float(inside.max() - inside.min()) > math.radians(0.1)
+
     def draw(self, folder: Path) -> None:
-        """Write roughness, residual, confidence and, where there are any, highlights and error as pictures."""
+        """Write residual, confidence and, where there are any, roughness, highlights and error as figures."""
         mask = self.mask
-        save_maps(folder / "roughness.png", {"roughness": self.roughness.rad2deg()}, mask, unit="degrees", top=60)
+        if self.roughness_varies:
+            degrees = {"roughness": self.roughness.rad2deg()}
+            save_maps(folder / "roughness_map.png", degrees, mask, unit="degrees", top=60)
         save_maps(folder / "residual.png", {"residual": self.residual}, mask, unit="image units")
         save_maps(
             folder / "confidence.png", {"confidence": self.confidence}, mask, unit="share", top=1, palette="viridis"
@@ -109,10 +117,11 @@ class ResultMaps:
         """Display albedo and mask at the resolution of the depth."""
         return self.display_albedo[:, :: self.step, :: self.step], self.mask[:, :: self.step, :: self.step]
 
-    def write_mesh(self, path: Path) -> None:
-        """Write the surface as a mesh with the display albedo as sRGB colours of the vertices."""
+    def write_mesh(self, path: Path, unit: float = 1.0) -> None:
+        """Write the surface as a mesh with the display albedo as sRGB colours of the vertices; ``unit``: of a pixel."""
         albedo, mask = self.thinned()
-        vertices, faces, pixels = depth_to_mesh(self.depth, mask)
+        vertices, faces, pixels = depth_to_mesh(self.depth / self.step, mask)
+        vertices = vertices * (self.step * unit)
         colours = linear_to_srgb(albedo).expand(3, -1, -1).flatten(1)[:, pixels].T
         save_mesh(path, vertices, faces, colours)
 

@@ -12,6 +12,7 @@ from ..core.findings import Finding
 from ..reconstruction import Reconstruction
 from .capture import Capture
 from .result_maps import ResultMaps
+from .verdict import verdict
 
 
 class FindingEntry(TypedDict):
@@ -28,6 +29,8 @@ class ResultNumbers(TypedDict):
     ``scores`` and ``exponents`` are those of `Reconstruction`; ``roughness_degrees`` is the largest and
     ``roughness_range_degrees`` the 5th and 95th percentile; ``roughness_error_degrees`` is None where the photographs
     do not determine the roughness; ``depth_step`` is the step in pixels between the samples of depth and mesh;
+    ``height_unit`` is that of ``height.exr`` and ``mesh.ply``, and ``pixel_mm`` the size of a pixel where it is known;
+    ``albedo_exposure`` is the factor of the albedo in ``albedo.png``, and ``verdict`` one of good, look and doubtful;
     ``normal_error_degrees`` is `AngularError.summary` where true normals are known; ``seconds`` is the time to solve;
     ``report`` holds the sentences of loader and solver, ``findings`` those of them that have a code.
     """
@@ -43,6 +46,10 @@ class ResultNumbers(TypedDict):
     falloff: float
     exponents: list[int]
     depth_step: int
+    height_unit: str
+    pixel_mm: float | None
+    albedo_exposure: float
+    verdict: str
     normal_error_degrees: dict[str, float] | None
     seconds: float | None
     report: list[str]
@@ -50,7 +57,13 @@ class ResultNumbers(TypedDict):
 
 
 def result_numbers(
-    found: Reconstruction, capture: Capture, maps: ResultMaps, *, title: str, seconds: float | None
+    found: Reconstruction,
+    capture: Capture,
+    maps: ResultMaps,
+    *,
+    title: str,
+    seconds: float | None,
+    pixel_mm: float | None = None,
 ) -> ResultNumbers:
     """The numbers of one result."""
     error = found.roughness_error
@@ -68,6 +81,10 @@ def result_numbers(
         "falloff": found.falloff,
         "exponents": list(found.exponents),
         "depth_step": maps.step,
+        "height_unit": "pixels" if pixel_mm is None else "millimetres",
+        "pixel_mm": pixel_mm,
+        "albedo_exposure": 1 / maps.display_top,
+        "verdict": verdict(report, maps).word,
         "normal_error_degrees": None if maps.error is None else maps.error.summary(),
         "seconds": seconds,
         "report": [str(entry) for entry in report],

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping
+import time
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,19 +16,28 @@ from ..core.files import results_directory
 from ..reconstruction import Reconstruction
 from ..render.normal_map import NormalMap
 from .capture import Capture
+from .contact_sheet import Thumbnail, thumbnails
 from .figures import save_sheet, show_light, show_normals
 from .images import encode_normals, write_image
 from .result_animations import write_relighting, write_turntable
 from .result_maps import ResultMaps
 from .result_numbers import ResultNumbers, result_numbers
-from .result_page import write_result_page
+from .result_page import ResultPage
+from .result_viewer import viewer_markup
 from .srgb import linear_to_srgb
+from .textured_mesh import write_glb
+from .textures import perceptual_roughness, write_textures
+from .verdict import verdict
 
-OPTIONAL = {"error.npy", "error.png", "scores.png", "specular.npy", "specular.png", "turntable.gif"}
+OPTIONAL = {
+    "ball.png", "error.npy", "error.png", "relight.gif", "report.html", "roughness_map.png", "scores.png",
+    "specular.npy", "specular.png", "turntable.gif",
+}  # fmt: skip
 """Files that not every reconstruction has; those of an earlier run into the same folder are removed."""
 RECONSTRUCTION_FILES = OPTIONAL | {
-    "albedo.npy", "albedo.png", "confidence.npy", "confidence.png", "depth.npy", "mesh.ply", "normal.npy", "normal.png",
-    "relight.gif", "report.html", "residual.npy", "residual.png", "result.json", "roughness.npy", "roughness.png",
+    "albedo.npy", "albedo.png", "confidence.npy", "confidence.png", "depth.npy", "height.exr", "mesh.glb",
+    "mesh.ply", "normal.exr", "normal.npy", "normal.png", "normal_dx.png", "normal_gl.png", "object_mask.png",
+    "residual.npy", "residual.png", "result.json", "roughness.npy", "roughness.png", "roughness_sigma.png",
 }  # fmt: skip
 """Files that `write_reconstruction` may write."""
 RENDER_FILES = {"depth.npy", "lights.png", "mask.png", "normal.npy", "normal.png", "shaded.png", "sheet.png"}
@@ -38,22 +48,38 @@ SHEET_COLUMNS = 6
 
 @dataclass(frozen=True)
 class Written:
-    """What `write_reconstruction` wrote: the folder and the numbers in its ``result.json``."""
+    """What `write_reconstruction` wrote.
+
+    Attributes:
+        folder: where.
+        numbers: the content of its ``result.json``.
+        seconds: what each step took, by its name.
+    """
 
     folder: Path
     numbers: ResultNumbers
+    seconds: dict[str, float]
 
 
 def write_reconstruction(
-    folder: str | os.PathLike[str], found: Reconstruction, capture: Capture, *, title: str, seconds: float | None = None
+    folder: str | os.PathLike[str],
+    found: Reconstruction,
+    capture: Capture,
+    *,
+    title: str,
+    seconds: float | None = None,
+    pixel_mm: float | None = None,
+    shown: Sequence[Thumbnail] | None = None,
+    report: bool = True,
+    animation: bool = True,
 ) -> Written:
-    """Write every result of one capture; the folder's files appear together or not at all.
+    """Write every result of one capture: first what programs read, then what people look at, each together or not.
 
-    ``normal.png`` (16-bit, green up) and ``normal.npy``; ``albedo.png`` (sRGB, scaled to its 99th percentile) and
-    ``albedo.npy`` (linear); ``roughness``, ``residual``, ``confidence``, ``specular`` where highlights were
-    fitted and, where true normals are known, ``error`` as ``.png`` and ``.npy``; ``depth.npy`` (pixels toward the
-    viewer); ``mesh.ply``; ``relight.gif`` and ``turntable.gif``; ``result.json`` (`ResultNumbers`); ``report.html``.
-    Depth and mesh of more than 4 million pixels are made at a fraction of the resolution, which ``result.json`` names.
+    The maps as ``.npy`` (`ResultMaps.arrays`: normals, linear albedo, roughness in radians, residual, confidence, depth
+    in pixels toward the viewer, and highlights and true error where there are any), `write_textures`, ``mesh.glb``
+    (`write_glb`), ``mesh.ply`` for measuring, ``result.json`` (`ResultNumbers`). Then figures with scales,
+    ``report.html``, ``relight.gif`` and ``turntable.gif``, and ``ball.png`` where lights come from a ball. Depth and
+    mesh of more than 4 million pixels are made at a fraction of the resolution, which ``result.json`` names.
 
     Args:
         folder: made if need be; files of other names in it stay, and those that others wrote are not overwritten.
@@ -61,32 +87,71 @@ def write_reconstruction(
         capture: what was loaded.
         title: heading of the report.
         seconds: time spent on solving, for the report.
+        pixel_mm: size of a pixel of the object in millimetres, where it is known.
+        shown: small pictures of the photographs; default: made from ``capture``.
+        report: write figures and ``report.html``.
+        animation: write ``relight.gif`` and ``turntable.gif``.
 
     Returns:
-        The folder and the numbers.
+        The folder, the numbers and the seconds.
 
     Raises:
         FileError: the place cannot be written, or holds a file of these names that this package did not write.
         ShapeError: ``found`` is a batch.
         MissingPackageError: a package that draws or writes is not installed.
     """
+    taken, clock = dict[str, float](), time.perf_counter()
+
+    def step(name: str) -> None:
+        nonlocal clock
+        taken[name], clock = time.perf_counter() - clock, time.perf_counter()
+
     maps = ResultMaps.of(found, capture)
-    numbers = result_numbers(found, capture, maps, title=title, seconds=seconds)
+    step("integrating")
+    numbers = result_numbers(found, capture, maps, title=title, seconds=seconds, pixel_mm=pixel_mm)
     with results_directory(folder) as temporary:
-        for name, array in maps.arrays().items():
-            np.save(temporary / f"{name}.npy", array.numpy())
-        write_image(temporary / "normal.png", encode_normals(maps.normal, maps.mask), bits=16)
-        write_image(temporary / "albedo.png", linear_to_srgb(maps.display_albedo) * maps.mask)
-        maps.draw(temporary)
-        maps.write_mesh(temporary / "mesh.ply")
-        write_relighting(temporary / "relight.gif", found, maps.display_top)
-        write_turntable(temporary / "turntable.gif", maps)
+        _write_data(temporary, found, maps, pixel_mm)
         (temporary / "result.json").write_text(json.dumps(numbers, indent=2) + "\n")
-        write_result_page(temporary, numbers, maps)
         written = {p.name for p in temporary.iterdir()}
+    step("writing maps and meshes")
+    with results_directory(folder) as temporary:
+        if report:
+            photographs = thumbnails(capture, found.lights) if shown is None else shown
+            _write_report(temporary, found, capture, maps, numbers, photographs)
+            step("drawing the report")
+        if animation:
+            write_relighting(temporary / "relight.gif", found, maps.display_top)
+            write_turntable(temporary / "turntable.gif", maps)
+            step("animations")
+        written |= {p.name for p in temporary.iterdir()}
     for name in OPTIONAL - written:
         (Path(folder) / name).unlink(missing_ok=True)
-    return Written(Path(folder), numbers)
+    return Written(Path(folder), numbers, taken)
+
+
+def _write_data(folder: Path, found: Reconstruction, maps: ResultMaps, pixel_mm: float | None) -> None:
+    """What programs read."""
+    for name, array in maps.arrays().items():
+        np.save(folder / f"{name}.npy", array.numpy())
+    write_textures(folder, maps, found.exponents, pixel_mm or 1.0)
+    maps.write_mesh(folder / "mesh.ply", pixel_mm or 1.0)
+    write_glb(folder / "mesh.glb", maps, perceptual_roughness(maps, found.exponents), pixel_mm)
+
+
+def _write_report(
+    folder: Path,
+    found: Reconstruction,
+    capture: Capture,
+    maps: ResultMaps,
+    numbers: ResultNumbers,
+    photographs: Sequence[Thumbnail],
+) -> None:
+    """What people look at, but for animations."""
+    maps.draw(folder)
+    if capture.ball_picture is not None:
+        write_image(folder / "ball.png", capture.ball_picture)
+    page = ResultPage(folder, numbers, maps, viewer_markup(found, maps), photographs)
+    page.write(verdict((*capture.notes, *found.report), maps))
 
 
 def write_render(

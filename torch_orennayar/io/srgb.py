@@ -60,3 +60,8 @@ def linear_to_srgb(image: Tensor, *, tone_map: str = "clamp") -> Tensor:
     light = (light / (1 + light)) if tone_map == "reinhard" else light.clamp(max=1)
     encoded: Tensor = linear_rgb_to_rgb(light.expand(*light.shape[:-3], 3, -1, -1))
     return encoded[..., : image.shape[-3], :, :]
+
+
+def as_rgb(image: Tensor) -> Tensor:
+    """(C, H, W) as (3, H, W): of another number of channels than 3 the mean."""
+    return image if len(image) == 3 else image.mean(0, True).expand(3, -1, -1)
