@@ -11,10 +11,12 @@ from typer.core import TyperCommand
 
 from .._version import __version__
 from ..core.errors import RangeError
+from .batch import batch
 from .calibrate import calibrate
 from .demo import demo
 from .export import export
 from .info import info
+from .inspect import inspect
 from .options import join_vectors
 from .render import render
 from .shape import shape
@@ -24,6 +26,8 @@ COMMANDS: tuple[tuple[Callable[..., None], str], ...] = (
     (demo, "demo --size 128 -o out"),
     (render, "render bunny.obj --roughness 40 --light 0.3,0.4,0.86 --turntable bunny.gif"),
     (stereo, "stereo photographs --mask mask.png -o out"),
+    (inspect, "inspect photographs -o out"),
+    (batch, "batch monday/* tuesday/* -o results"),
     (shape, "shape photo.png --light 0.3,0.4,0.86 --mask mask.png -o out"),
     (calibrate, "calibrate chrome ball --circle 310,245,120 -o photographs"),
     (export, "export renderer.onnx --graph renderer --size 256 --elevation 20"),

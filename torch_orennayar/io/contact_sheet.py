@@ -43,17 +43,29 @@ def thumbnails(capture: Capture, lights: Tensor | None = None) -> list[Thumbnail
         capture: with its images.
         lights: (K, 3) directions instead of the capture's, where they were found later.
     """
-    count = len(capture.images)
+    scale = capture.intensities[:, :, None, None].to(capture.images)
+    raw = [image * s for image, s in zip(capture.images, scale, strict=False)]
+    return small_pictures(raw, capture.names, capture.lights if lights is None else lights)
+
+
+def small_pictures(images: Sequence[Tensor] | Tensor, names: Sequence[str], lights: Tensor | None) -> list[Thumbnail]:
+    """Small pictures of at most `MOST` images (3, H, W) in linear light, all with one exposure.
+
+    Args:
+        images: of all lights.
+        names: of their files.
+        lights: (K, 3) directions, or None where they are unknown.
+    """
+    count = len(images)
     if count == 0:
         return []
     chosen = sorted({round(k * (count - 1) / max(MOST - 1, 1)) for k in range(min(MOST, count))})
     if count <= MOST:
         chosen = list(range(count))
-    directions = capture.lights if lights is None else lights
-    small = [_small(capture.images[k] * capture.intensities[k][:, None, None].to(capture.images)) for k in chosen]
+    small = [_small(images[k]) for k in chosen]
     top = max(float(torch.stack([s.flatten().quantile(0.99) for s in small]).max()), 1e-12)
     return [
-        Thumbnail(capture.names[k], linear_to_srgb((s / top).clamp(0, 1)), _three(directions[k]))
+        Thumbnail(names[k], linear_to_srgb((s / top).clamp(0, 1)), None if lights is None else _three(lights[k]))
         for k, s in zip(chosen, small, strict=True)
     ]
 

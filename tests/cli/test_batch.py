@@ -1,0 +1,61 @@
+"""`orennayar inspect` and `orennayar batch`."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from tests.support.command_line import Run
+
+
+def test_a_folder_is_inspected_before_it_is_solved(orennayar: Run, capture_folder: Path, tmp_path: Path) -> None:
+    shutil.copy(capture_folder / "001.png", capture_folder / "ref.png")
+    (capture_folder / "filenames.txt").unlink()
+    result = orennayar("inspect", capture_folder, "-o", tmp_path / "seen")
+    assert result.status == 0, result.err
+    for words in ("12 from a light file", "mask.png", "ref.png", "32 x 32 pixels"):
+        assert words in result.out, words
+    page = (tmp_path / "seen" / "inspection.html").read_text()
+    assert page.count('<svg class="dial"') == 12
+    assert not (tmp_path / "seen" / "result.json").exists()
+
+
+def test_a_folder_without_photographs_cannot_be_inspected(orennayar: Run, tmp_path: Path) -> None:
+    result = orennayar("inspect", tmp_path, "-o", tmp_path / "seen")
+    assert result.status != 0
+    assert "expected photographs" in result.err
+
+
+@pytest.mark.slow
+def test_many_captures_go_on_after_a_bad_one_and_are_not_solved_twice(
+    orennayar: Run, capture_folder: Path, tmp_path: Path
+) -> None:
+    for day in ("monday", "tuesday"):
+        shutil.copytree(capture_folder, tmp_path / day / "vase")
+    (tmp_path / "monday" / "empty").mkdir()
+    (tmp_path / "list.txt").write_text("# comment\nmonday/empty\ntuesday/vase\nmonday/vase\n")
+    command = ("batch", tmp_path / "monday" / "vase", tmp_path / "list.txt", "-o", tmp_path / "out")
+    options = ("--model", "lambert", "--no-report")
+    result = orennayar(*command, *options)
+    assert result.status == 1  # one failed
+    assert "failed" in result.out
+    assert "expected photographs" in result.out
+    first, second = (tmp_path / "out" / name / "result.json" for name in ("vase", "tuesday-vase"))
+    assert json.loads(first.read_text())["model"] == json.loads(second.read_text())["model"] == "lambert"
+    before = first.stat().st_mtime_ns
+    (tmp_path / "list.txt").write_text("tuesday/vase\n")
+    result = orennayar(*command, *options)
+    assert result.status == 0, result.err
+    assert result.out.count("has a result") == 2
+    assert first.stat().st_mtime_ns == before
+
+
+def test_a_batch_of_nothing_is_refused(orennayar: Run, tmp_path: Path) -> None:
+    (tmp_path / "list.txt").write_text("# none\n")
+    result = orennayar("batch", tmp_path / "list.txt", "-o", tmp_path / "out")
+    assert "at least one folder" in result.err
+    result = orennayar("batch", tmp_path / "nothing", "-o", tmp_path / "out")
+    assert "a folder, or a file that lists folders" in result.err

@@ -1,0 +1,46 @@
+"""``orennayar inspect``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ..core.files import check_output
+from .options import EncodingOption, Output
+
+FILES = {"inspection.html", "ball.png"}
+"""Files that the command may write."""
+
+
+def inspect(
+    capture: Annotated[Path, typer.Argument(help="Folder of images, with or without a light file, or .lp file.")],
+    output: Output = Path("out"),
+    encoding: EncodingOption = "auto",
+) -> None:
+    """What a folder holds and how it is understood, as a table and a contact sheet, before anything is solved."""
+    from ..core.files import results_directory
+    from ..io.contact_sheet import contact_markup
+    from ..io.images import write_image
+    from ..io.inspection import inspect_folder
+    from ..io.report import Section, write_report
+    from .tables import print_table
+
+    check_output(output, FILES)
+    seen = inspect_folder(capture, encoding)
+    with results_directory(output) as folder:
+        balls = []
+        if seen.ball_picture is not None:
+            write_image(folder / "ball.png", seen.ball_picture)
+            balls = [folder / "ball.png"]
+        count = int(seen.rows[0][1].partition(",")[0])
+        sections = (
+            Section("What was understood", seen.findings, ("what", "found"), seen.rows),
+            Section("Photographs", markup=contact_markup(seen.shown, count), pictures=balls),
+        )
+        write_report(folder / "inspection.html", capture.resolve().name, sections)
+    print_table(("what", "found"), seen.rows)
+    for finding in seen.findings:
+        typer.echo(finding)
+    typer.echo(f"open {output / 'inspection.html'}")

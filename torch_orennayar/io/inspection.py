@@ -1,0 +1,101 @@
+"""What a folder of photographs holds and how it is understood, before anything is solved."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from ..core.findings import Finding
+from ..geometry.primitives import Ball
+from .ball_photographs import BallLights, lights_of_ball_beside
+from .capture_lights import GivenLights, read_lights
+from .contact_sheet import Thumbnail, small_pictures
+from .masks import find_mask, read_mask
+from .object_mask import disc, find_object
+from .photographs import find_ambient, odd_pictures, read_photographs
+from .picture import read_picture
+from .region import Region
+
+INSPECTED_SIDE = 900
+"""Pixels of the longer side at which photographs are looked at; set by hand, for seconds instead of minutes."""
+
+
+@dataclass(frozen=True)
+class Inspection:
+    """What was seen in a folder.
+
+    Attributes:
+        rows: what was looked for, and what was found.
+        findings: of the readers.
+        shown: small pictures of the photographs.
+        ball_picture: (3, h, w) the mirror ball as it was found, or None.
+    """
+
+    rows: tuple[tuple[str, str], ...]
+    findings: tuple[Finding, ...]
+    shown: tuple[Thumbnail, ...]
+    ball_picture: Tensor | None
+
+
+def inspect_folder(source: Path, encoding: str = "auto") -> Inspection:
+    """Look at a capture as `load_capture` would, at a reduced size, without finding lights from shading.
+
+    Args:
+        source: a folder or ``.lp`` file.
+        encoding: as `load_capture` takes it.
+
+    Raises:
+        FileError: as `load_capture`.
+    """
+    folder = source if source.is_dir() else source.parent
+    mask_file, ambient = find_mask(folder), find_ambient(folder)
+    others = tuple(f for f in (mask_file, ambient) if f is not None)
+    given = read_lights(source, others, lights=None, chrome=None, positions=None, ball=None, encoding=encoding)
+    height, width = read_picture(given.files[0]).samples.shape[:2]
+    region = Region(scale=min(1.0, INSPECTED_SIDE / max(height, width)))
+    read = read_photographs(given.files, encoding, torch.ones(len(given.files), 3), ambient, region)
+    if mask_file is None:
+        inside, about_mask = find_object(read.images)
+        notes: tuple[Finding, ...] = (about_mask,)
+    else:
+        whole, notes = read_mask(mask_file, read.size)
+        inside = region.apply_mask(whole)
+    ball = lights_of_ball_beside(read.images, inside) if given.directions is None else None
+    if ball is not None and mask_file is None:
+        inside = inside & ~disc(ball.ball, (read.images.shape[2], read.images.shape[3]))
+    directions = ball.directions if ball is not None else given.directions
+    covered = f"{inside.float().mean().item():.0%} of the picture"
+    clipped = "none" if read.valid is None else f"{1 - read.valid[:, inside].float().mean().item():.2%} of the object"
+    rows = (
+        (
+            "photographs",
+            f"{len(given.files)}, {given.files[0].name} to {given.files[-1].name}, {width} x {height} pixels",
+        ),
+        ("lights", _lights_text(given, ball, region.scale)),
+        ("spread of the lights", "unknown" if directions is None else _spread_text(directions)),
+        ("mask", f"{'found' if mask_file is None else mask_file.name}: {covered}"),
+        ("light with all lamps off", "none" if ambient is None else f"{ambient.name}, subtracted"),
+        ("samples at full scale", clipped),
+    )
+    odd = odd_pictures(folder, (*given.files, *others))
+    shown = small_pictures(read.images, [f.name for f in given.files], directions)
+    return Inspection(rows, (*read.findings, *notes, *odd), tuple(shown), None if ball is None else ball.picture)
+
+
+def _lights_text(given: GivenLights, ball: BallLights | None, scale: float) -> str:
+    if ball is not None:
+        x, y = ((v + 0.5) / scale - 0.5 for v in (ball.ball.x, ball.ball.y))
+        whole = Ball(x, y, ball.ball.radius / scale)
+        return f"from a mirror ball at column {whole.x:.0f}, row {whole.y:.0f}, radius {whole.radius:.0f} pixels"
+    if given.directions is not None:
+        return f"{len(given.directions)} from a light file"
+    return "no light file and no mirror ball: they will be found from the photographs, which takes a minute"
+
+
+def _spread_text(directions: Tensor) -> str:
+    zenith = directions[:, 2].clamp(-1, 1).acos()
+    return f"{math.degrees(zenith.min()):.0f} to {math.degrees(zenith.max()):.0f} degrees off the view"
