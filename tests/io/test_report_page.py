@@ -107,6 +107,8 @@ def test_verdicts() -> None:
     assert verdict((), maps).word == "good"
     assert verdict((Finding("few.", "three-lights"),), maps).word == "look"
     assert verdict((Finding("bad.", "lights-uncertain", 15.0),), maps).word == "doubtful"
+    assert verdict((Finding("little.", "clipped-samples", 0.1),), maps).word == "good"
+    assert verdict((Finding("much.", "clipped-samples", 5.0),), maps).word == "look"
     assert verdict((), replace(maps, residual=0.2 * MASK)).word == "doubtful"
     assert verdict((), replace(maps, confidence=0.1 * MASK)).word == "look"
 

@@ -33,6 +33,8 @@ LIGHTS_DOUBTFUL = 10.0
 """Degrees of standard error of lights that were found from which a result is not to be trusted; set by hand."""
 MISFIT, MISFIT_DOUBTFUL = 0.1, 0.25
 """Mean misfit over the mean brightness that is worth a look, and that is doubtful; set by hand."""
+MUCH_CLIPPED = 1.0
+"""Percent of samples at full scale that are worth a look; set by hand."""
 UNSURE, MUCH_UNSURE = 0.5, 0.2
 """Confidence below which a pixel is unsure, and the share of such pixels that is worth a look; set by hand."""
 
@@ -60,7 +62,7 @@ def verdict(report: Sequence[str], maps: ResultMaps) -> Verdict:
     """
     found = {entry.code: entry for entry in report if isinstance(entry, Finding)}
     doubts = [text for code, text in DOUBTFUL.items() if code in found]
-    looks = [text for code, text in WORTH_A_LOOK.items() if code in found]
+    looks = [t for code, t in WORTH_A_LOOK.items() if code in found and not _is_minor(found[code])]
     uncertain = found.get("lights-uncertain")
     if uncertain is not None and (uncertain.value or 0.0) >= LIGHTS_DOUBTFUL:
         looks.remove(WORTH_A_LOOK["lights-uncertain"])
@@ -80,3 +82,7 @@ def verdict(report: Sequence[str], maps: ResultMaps) -> Verdict:
         return Verdict("look", "Usable; look at what is named here", tuple(looks))
     agree = f"The result agrees with the photographs to {misfit:.1%} of the surface's brightness in the mean"
     return Verdict("good", "Good", (f"{agree}, and nothing contradicts it.",))
+
+
+def _is_minor(finding: Finding) -> bool:
+    return finding.code == "clipped-samples" and (finding.value or 0.0) < MUCH_CLIPPED
