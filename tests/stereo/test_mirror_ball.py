@@ -72,6 +72,11 @@ def test_two_photographs_are_too_few() -> None:
         find_mirror_ball(torch.rand(2, 3, 30, 30))
 
 
+def test_a_ball_outside_the_pictures_is_refused() -> None:
+    with pytest.raises(CaptureError, match="ball: expected a circle inside 30 x 20 pixels, got 500, 10, 8"):
+        light_directions(torch.rand(3, 1, 20, 30), Ball(500.0, 10.0, 8.0))
+
+
 def test_what_the_ball_mirrors_under_every_light_is_no_highlight() -> None:
     ball, lights = ANYWHERE[0], spiral_lights(6)
     images = photographs(ball, lights, table=0.1)

@@ -17,8 +17,6 @@ Bools = npt.NDArray[np.bool_]
 
 # All of these were set by hand, on objects before black cloth and on a table; tests/io/test_object_mask.py compares the
 # masks that are found with those that were given.
-BRIGHT_RANK = 2
-"""A pixel counts with its second brightest light: lit by several, and no single highlight or reflection."""
 STOPS = 10
 """Range of brightness below the brightest that is looked at, in factors of two."""
 SEPARATION = 3.0
@@ -72,8 +70,7 @@ def _bright_parts(images: Tensor) -> Bools:
     require("cv2")
     import cv2
 
-    grey = images.float().mean(1)
-    bright = grey.topk(min(BRIGHT_RANK, len(grey)), dim=0).values[-1].cpu().numpy()
+    bright = _second_brightest(images).cpu().numpy()
     bright = cv2.medianBlur(bright, 5) if min(bright.shape) > 5 else bright
     least = max(float(np.quantile(bright, 0.995)), 1e-12) / 2**STOPS
     stops = np.log2(np.clip(bright / least, 1, 2**STOPS))
@@ -83,6 +80,19 @@ def _bright_parts(images: Tensor) -> Bools:
     if not inside.any() or inside.all() or stops[inside].mean() - stops[~inside].mean() < SEPARATION:
         return np.zeros_like(inside)
     return _large_parts(inside)
+
+
+def _second_brightest(images: Tensor) -> Tensor:
+    """(H, W) of the second brightest light, or of the only one: a single highlight or reflection is no object.
+
+    Photographs are looked at one after the other, for memory.
+    """
+    first = second = images[0].float().mean(0)
+    for k in range(1, len(images)):
+        grey = images[k].float().mean(0)
+        second = torch.minimum(first, grey) if k == 1 else torch.maximum(second, torch.minimum(first, grey))
+        first = torch.maximum(first, grey)
+    return second
 
 
 def _large_parts(inside: Bools) -> Bools:

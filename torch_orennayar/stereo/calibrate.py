@@ -140,7 +140,8 @@ def light_directions(images: Tensor, ball: Ball) -> Tensor:
 
     Raises:
         ShapeError: another shape.
-        CaptureError: no highlight, two of them, or one at the ball's very edge; names the image.
+        CaptureError: a ball outside the pictures; no highlight, two of them, or one at the ball's very edge, with the
+            image's number.
 
     Example:
         >>> import torch
@@ -156,6 +157,13 @@ def light_directions(images: Tensor, ball: Ball) -> Tensor:
     import numpy as np
 
     _check_images(images)
+    height, width = images.shape[2:]
+    if not bool(ball.normals((height, width))[1].any()):
+        expected, got = f"a circle inside {width} x {height} pixels", f"{ball.x:.0f}, {ball.y:.0f}, {ball.radius:.0f}"
+        raise CaptureError("ball", expected=expected, got=got, mend="give column, row and radius in pixels")
+    left, top = (max(int(at - ball.radius), 0) for at in (ball.x, ball.y))
+    images = images[:, :, top : int(ball.y + ball.radius) + 2, left : int(ball.x + ball.radius) + 2]
+    ball = Ball(ball.x - left, ball.y - top, ball.radius)
     _, inside = ball.normals((images.shape[2], images.shape[3]))
     lights = []
     greys = images.float().mean(1).cpu()
