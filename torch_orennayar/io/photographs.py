@@ -37,6 +37,8 @@ OTHER_WORDS = ("ref", "reference", "preview", "thumbnail", "thumb")
 """A picture of one of these names, or whose name ends with one, shows the scene in some other way."""
 READERS = 4
 """Threads that decode photographs, at most; set by hand. Each holds its image several times over."""
+ALONE_FROM = 8_000_000
+"""Pixels of a photograph from which one is decoded at a time; set by hand, for memory."""
 
 
 def list_photographs(folder: Path, others: Sequence[Path]) -> list[Path]:
@@ -176,7 +178,8 @@ def read_photographs(
             image = (image - dark).clamp_min(0)
         result[index] = image / intensities[index][:, None, None]
 
-    with ThreadPoolExecutor(min(1 if large else READERS, os.cpu_count() or 1)) as pool:
+    alone = large or size[0] * size[1] > ALONE_FROM
+    with ThreadPoolExecutor(1 if alone else min(READERS, os.cpu_count() or 1)) as pool:
         try:
             list(track(pool.map(fill, range(len(files))), "reading images", len(files)))
         except BaseException:
