@@ -34,10 +34,9 @@ def inspect(
         if seen.ball_picture is not None:
             write_image(folder / "ball.png", seen.ball_picture)
             balls = [folder / "ball.png"]
-        count = int(seen.rows[0][1].partition(",")[0])
         sections = (
             Section("What was understood", seen.findings, ("what", "found"), seen.rows),
-            Section("Photographs", markup=contact_markup(seen.shown, count), pictures=balls),
+            Section("Photographs", markup=contact_markup(seen.shown, seen.count), pictures=balls),
         )
         write_report(folder / "inspection.html", capture.resolve().name, sections)
     print_table(("what", "found"), seen.rows)

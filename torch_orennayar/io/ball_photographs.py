@@ -93,10 +93,7 @@ def lights_of_ball_folder(folder: Path, names: Sequence[str], encoding: str, bal
         FileError: the folder cannot be read, or has more or fewer photographs.
         CaptureError: no ball, or a photograph without a highlight.
     """
-    if not folder.is_dir():
-        raise FileError(str(folder), expected="a folder of photographs", got="no folder", mend="check the name")
-    mask_file = find_mask(folder)
-    files = list_photographs(folder, () if mask_file is None else (mask_file,))
+    files, mask_file = _ball_files(folder, None)
     stems = {file.stem.lower(): file for file in files}
     if all(Path(name).stem.lower() in stems for name in names):
         files = [stems[Path(name).stem.lower()] for name in names]
@@ -132,16 +129,20 @@ def load_ball(
     Raises:
         FileError: as `load_capture`.
     """
-    folder = Path(path)
-    if not folder.is_dir():
-        raise FileError(str(folder), expected="a folder of photographs", got="no folder", mend="check the name")
-    mask_file = Path(mask) if mask is not None else find_mask(folder)
-    files = list_photographs(folder, () if mask_file is None else (mask_file,))
+    files, mask_file = _ball_files(Path(path), None if mask is None else Path(mask))
     images = read_photographs(files, encoding, torch.ones(len(files), 3)).images
     if mask_file is None:
         return images, None
     inside, _ = read_mask(mask_file, (images.shape[2], images.shape[3]))
     return images, inside
+
+
+def _ball_files(folder: Path, mask: Path | None) -> tuple[list[Path], Path | None]:
+    """The photographs of a ball in ``folder``, and the mask of the ball: the given one, or one that lies there."""
+    if not folder.is_dir():
+        raise FileError(str(folder), expected="a folder of photographs", got="no folder", mend="check the name")
+    mask_file = mask or find_mask(folder)
+    return list_photographs(folder, () if mask_file is None else (mask_file,)), mask_file
 
 
 def _draw(images: Tensor, ball: Ball, directions: Tensor) -> Tensor:

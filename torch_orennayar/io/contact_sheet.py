@@ -43,18 +43,20 @@ def thumbnails(capture: Capture, lights: Tensor | None = None) -> list[Thumbnail
         capture: with its images.
         lights: (K, 3) directions instead of the capture's, where they were found later.
     """
-    scale = capture.intensities[:, :, None, None].to(capture.images)
-    raw = [image * s for image, s in zip(capture.images, scale, strict=False)]
-    return small_pictures(raw, capture.names, capture.lights if lights is None else lights)
+    directions = capture.lights if lights is None else lights
+    return small_pictures(capture.images, capture.names, directions, capture.intensities)
 
 
-def small_pictures(images: Sequence[Tensor] | Tensor, names: Sequence[str], lights: Tensor | None) -> list[Thumbnail]:
-    """Small pictures of at most `MOST` images (3, H, W) in linear light, all with one exposure.
+def small_pictures(
+    images: Tensor, names: Sequence[str], lights: Tensor | None, intensities: Tensor | None = None
+) -> list[Thumbnail]:
+    """Small pictures of at most `MOST` images in linear light, all with one exposure.
 
     Args:
-        images: of all lights.
+        images: (K, 3, H, W).
         names: of their files.
         lights: (K, 3) directions, or None where they are unknown.
+        intensities: (K, 3) that the images were divided by, or None.
     """
     count = len(images)
     if count == 0:
@@ -63,6 +65,8 @@ def small_pictures(images: Sequence[Tensor] | Tensor, names: Sequence[str], ligh
     if count <= MOST:
         chosen = list(range(count))
     small = [_small(images[k]) for k in chosen]
+    if intensities is not None:
+        small = [s * intensities[k][:, None, None].to(s) for k, s in zip(chosen, small, strict=True)]
     top = max(float(torch.stack([s.flatten().quantile(0.99) for s in small]).max()), 1e-12)
     return [
         Thumbnail(names[k], linear_to_srgb((s / top).clamp(0, 1)), None if lights is None else _three(lights[k]))

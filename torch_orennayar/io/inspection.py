@@ -10,7 +10,6 @@ import torch
 from torch import Tensor
 
 from ..core.findings import Finding
-from ..geometry.primitives import Ball
 from .ball_photographs import BallLights, lights_of_ball_beside
 from .capture_lights import GivenLights, read_lights
 from .contact_sheet import Thumbnail, small_pictures
@@ -29,12 +28,14 @@ class Inspection:
     """What was seen in a folder.
 
     Attributes:
+        count: of the photographs.
         rows: what was looked for, and what was found.
         findings: of the readers.
         shown: small pictures of the photographs.
         ball_picture: (3, h, w) the mirror ball as it was found, or None.
     """
 
+    count: int
     rows: tuple[tuple[str, str], ...]
     findings: tuple[Finding, ...]
     shown: tuple[Thumbnail, ...]
@@ -83,14 +84,15 @@ def inspect_folder(source: Path, encoding: str = "auto") -> Inspection:
     )
     odd = odd_pictures(folder, (*given.files, *others))
     shown = small_pictures(read.images, [f.name for f in given.files], directions)
-    return Inspection(rows, (*read.findings, *notes, *odd), tuple(shown), None if ball is None else ball.picture)
+    picture = None if ball is None else ball.picture
+    return Inspection(len(given.files), rows, (*read.findings, *notes, *odd), tuple(shown), picture)
 
 
 def _lights_text(given: GivenLights, ball: BallLights | None, scale: float) -> str:
     if ball is not None:
         x, y = ((v + 0.5) / scale - 0.5 for v in (ball.ball.x, ball.ball.y))
-        whole = Ball(x, y, ball.ball.radius / scale)
-        return f"from a mirror ball at column {whole.x:.0f}, row {whole.y:.0f}, radius {whole.radius:.0f} pixels"
+        radius = ball.ball.radius / scale
+        return f"from a mirror ball at column {x:.0f}, row {y:.0f}, radius {radius:.0f} pixels"
     if given.directions is not None:
         return f"{len(given.directions)} from a light file"
     return "no light file and no mirror ball: they will be found from the photographs, which takes a minute"
