@@ -12,7 +12,7 @@ from ..core.findings import Finding
 from ..reconstruction import Reconstruction
 from .capture import Capture
 from .result_maps import ResultMaps
-from .verdict import verdict
+from .verdict import Verdict
 
 
 class FindingEntry(TypedDict):
@@ -62,6 +62,7 @@ def result_numbers(
     maps: ResultMaps,
     *,
     title: str,
+    trust: Verdict,
     seconds: float | None,
     pixel_mm: float | None = None,
 ) -> ResultNumbers:
@@ -84,7 +85,7 @@ def result_numbers(
         "height_unit": "pixels" if pixel_mm is None else "millimetres",
         "pixel_mm": pixel_mm,
         "albedo_exposure": 1 / maps.display_top,
-        "verdict": verdict(report, maps).word,
+        "verdict": trust.word,
         "normal_error_degrees": None if maps.error is None else maps.error.summary(),
         "seconds": seconds,
         "report": [str(entry) for entry in report],

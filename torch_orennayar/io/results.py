@@ -108,7 +108,8 @@ def write_reconstruction(
 
     maps = ResultMaps.of(found, capture)
     step("integrating")
-    numbers = result_numbers(found, capture, maps, title=title, seconds=seconds, pixel_mm=pixel_mm)
+    trust = verdict((*capture.notes, *found.report), maps)
+    numbers = result_numbers(found, capture, maps, title=title, trust=trust, seconds=seconds, pixel_mm=pixel_mm)
     with results_directory(folder) as temporary:
         _write_data(temporary, found, maps, pixel_mm)
         (temporary / "result.json").write_text(json.dumps(numbers, indent=2) + "\n")
@@ -117,7 +118,10 @@ def write_reconstruction(
     with results_directory(folder) as temporary:
         if report:
             photographs = thumbnails(capture, found.lights) if shown is None else shown
-            _write_report(temporary, found, capture, maps, numbers, photographs)
+            if capture.ball_picture is not None:
+                write_image(temporary / "ball.png", capture.ball_picture)
+            maps.draw(temporary)
+            ResultPage(temporary, numbers, maps, viewer_markup(found, maps), photographs).write(trust)
             step("drawing the report")
         if animation:
             write_relighting(temporary / "relight.gif", found, maps.display_top)
@@ -136,22 +140,6 @@ def _write_data(folder: Path, found: Reconstruction, maps: ResultMaps, pixel_mm:
     write_textures(folder, maps, found.exponents, pixel_mm or 1.0)
     maps.write_mesh(folder / "mesh.ply", pixel_mm or 1.0)
     write_glb(folder / "mesh.glb", maps, perceptual_roughness(maps, found.exponents), pixel_mm)
-
-
-def _write_report(
-    folder: Path,
-    found: Reconstruction,
-    capture: Capture,
-    maps: ResultMaps,
-    numbers: ResultNumbers,
-    photographs: Sequence[Thumbnail],
-) -> None:
-    """What people look at, but for animations."""
-    maps.draw(folder)
-    if capture.ball_picture is not None:
-        write_image(folder / "ball.png", capture.ball_picture)
-    page = ResultPage(folder, numbers, maps, viewer_markup(found, maps), photographs)
-    page.write(verdict((*capture.notes, *found.report), maps))
 
 
 def write_render(
