@@ -203,7 +203,8 @@ def _measure(name: str, device: str, *, quick: bool) -> None:
             results[key] = value
             print(f"{time.perf_counter() - begun:6.1f} s  {name}: {key}: {value}", flush=True)
     finally:
-        record("gpu", {name: results}, quick=[name] if quick else [], device=device)
+        if results:  # a section that failed at once leaves an earlier recording as it is
+            record("gpu", {name: results}, quick=[name] if quick else [], device=device)
 
 
 if __name__ == "__main__":

@@ -204,15 +204,16 @@ def _read(plan: _Plan, encoding: str) -> Capture:
         intensities, no_intensities = given.intensities.expand(-1, 3).contiguous(), ()
     images, size, valid, decisions = read_photographs(given.files, encoding, intensities, plan.ambient, region)
     inside, about_mask = _mask(plan, images, size)
-    beside, about_lights = None if lights is not None else _ball_beside(plan, images, inside), given.notes
+    beside = _ball_beside(plan, images, inside) if lights is None else None
+    ball = beside or given.ball
+    about_lights: tuple[Finding, ...] = (ball.finding,) if ball is not None else ()
     if beside is not None:
-        lights, about_lights = beside.directions, (beside.finding,)
+        lights = beside.directions
         if plan.mask is None and not plan.whole:
             inside = inside & ~disc(beside.ball, (images.shape[2], images.shape[3]))
     elif lights is None:
         lights, brightness, about_lights = lights_from_photographs(plan.folder, images, inside, valid)
         images, intensities = images.div_(brightness[:, :, None, None]), intensities * brightness
-    ball = beside or given.ball
     return Capture(
         images=images,
         lights=lights,

@@ -35,7 +35,6 @@ class GivenLights(NamedTuple):
         intensities: (K, 1 or 3), or None.
         positions: (K, 3) of near lights in mm, or None.
         ball: the ball in photographs of its own that told the directions, or None.
-        notes: what was found.
     """
 
     files: list[Path]
@@ -43,7 +42,6 @@ class GivenLights(NamedTuple):
     intensities: Tensor | None = None
     positions: Tensor | None = None
     ball: BallLights | None = None
-    notes: tuple[Finding, ...] = ()
 
 
 def read_lights(
@@ -86,7 +84,7 @@ def read_lights(
     if chrome is not None:
         files = list_photographs(folder, others)
         found = lights_of_ball_folder(Path(chrome), [f.name for f in files], encoding, ball)
-        return GivenLights(files, found.directions, ball=found, notes=(found.finding,))
+        return GivenLights(files, found.directions, ball=found)
     light_file = Path(lights) if lights is not None else find_light_file(source)
     if light_file is not None and ball is None:
         files, listed = pair_with_lights(folder, light_file, others, read_directions)
