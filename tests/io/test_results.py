@@ -5,8 +5,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import torch
 
-from torch_orennayar import Finding, ShapeError, load_capture, photometric_stereo
+from torch_orennayar import Finding, Reconstruction, ShapeError, load_capture, photometric_stereo
+from torch_orennayar.io.capture import Capture
+from torch_orennayar.io.result_animations import write_turntable
+from torch_orennayar.io.result_maps import ResultMaps
 from torch_orennayar.io.results import write_reconstruction
 from torch_orennayar.reconstruction import stack
 
@@ -27,3 +31,17 @@ def test_findings_are_stored_with_code_and_value(capture_folder: Path, tmp_path:
     with pytest.raises(ShapeError, match="one by one"):
         write_reconstruction(tmp_path / "batch", stack([found, found]), capture, title="ball")
     assert not (tmp_path / "batch").exists()
+
+
+def test_black_pixels_beside_bright_ones_can_be_animated(tmp_path: Path) -> None:
+    """On the edges of triangles some barycentric weights are rounded below 0, and so would be albedo there."""
+    generator, size = torch.Generator().manual_seed(0), (48, 64)
+    albedo = (torch.rand(3, *size, generator=generator) > 0.5).float()
+    whole, up = torch.ones(1, *size), torch.tensor([0.0, 0, 1]).reshape(3, 1, 1).expand(3, *size)
+    found = Reconstruction(
+        normal=up, albedo=albedo, roughness=0 * whole, residual=0 * whole, confidence=whole, model="lambert",
+        scores={}, report=(), depth=4 * torch.rand(1, *size, generator=generator),
+    )  # fmt: skip
+    capture = Capture(torch.zeros(3, 3, *size), torch.eye(3), torch.ones(3, 3), whole.bool(), None, ("a", "b", "c"))
+    write_turntable(tmp_path / "turntable.gif", ResultMaps.of(found, capture))
+    assert (tmp_path / "turntable.gif").stat().st_size > 1000

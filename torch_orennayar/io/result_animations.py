@@ -67,6 +67,7 @@ def write_turntable(path: Path, maps: ResultMaps) -> None:
         eye = (3 * math.sin(azimuth), 0.6, 3 * math.cos(azimuth))
         seen = render_normals(vertices, faces, Camera.perspective(math.radians(40), eye), TURNTABLE_SIZE)
         at_corners = colours[faces[seen.face[0, 0].clamp_min(0)]]  # (H, W, 3, C)
-        tint = torch.einsum("hwkc,khw->chw", at_corners, seen.barycentric[0])[None]
+        weights = seen.barycentric[0].clamp_min(0)  # on an edge rounding takes some below 0
+        tint = torch.einsum("hwkc,khw->chw", at_corners, weights)[None]
         pictures.append(show_light(seen.shade(layer, light, albedo=tint)[0], seen.mask[0]))
     write_animation(path, pictures)

@@ -33,7 +33,8 @@ class NormalMap:
         mask: (B, 1, H, W) bool, the pixels that see a face.
         depth: (B, 1, H, W) distance along the optical axis, world units, infinite outside the mask; differentiable.
         face: (B, 1, H, W) int64 index of the visible face, -1 outside the mask.
-        barycentric: (B, 3, H, W) perspective-correct weights of its corners, 0 outside the mask; differentiable.
+        barycentric: (B, 3, H, W) perspective-correct weights of its corners, 0 outside the mask, on edges at worst
+            some 1e-7 below 0 by rounding; differentiable.
         camera: the camera of the view.
     """
 
