@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import warnings
 from typing import TYPE_CHECKING
 
 from ..core.errors import TorchOrenNayarError
@@ -19,7 +20,8 @@ INTERRUPTED = 130
 
 
 def main() -> None:
-    """Run the command; a user's mistake is one line on stderr and exit status 1."""
+    """Run the command; a warning is one line on stderr, a user's mistake another and exit status 1."""
+    warnings.formatwarning = lambda message, *_, **__: f"warning: {' '.join(str(message).split())}\n"
     try:
         _application()()
     except TorchOrenNayarError as error:
