@@ -41,6 +41,9 @@ def test_positions_from_a_file(orennayar: Run, meshes: dict[str, tuple[Tensor, T
     [
         (("--camera-distance", "400"), "leave --camera-distance and --fov out"),
         (("--positions", "lamps.csv"), "measure the distance"),
+        (("--unit", "cm"), "leave --unit out"),
+        (("--pixel-size", "-1"), "millimetres divided by its pixels"),
+        (("--positions", "lamps.csv", "--pixel-size", "0.2"), "follows from --camera-distance"),
         (("--positions", "lamps.csv", "--camera-distance", "400", "--fov", "35", "--refine-lights"), "neither"),
     ],
 )

@@ -33,6 +33,25 @@ def test_positions_in_any_form(tmp_path: Path, text: str) -> None:
 
 
 @pytest.mark.parametrize(
+    "text", ["18 0 26\n-9 15.55 26\n-9 -15.55 26\n", "x,y,z\n18,0,26\n-9,15.55,26\n-9,-15.55,26\n"]
+)
+def test_the_unit_may_be_given(tmp_path: Path, text: str) -> None:
+    file = tmp_path / "positions.txt"
+    file.write_text(text)
+    assert torch.allclose(read_positions(file, "cm").directions, POSITIONS, atol=1e-3)
+
+
+def test_a_unit_that_the_file_contradicts(tmp_path: Path) -> None:
+    file = tmp_path / "positions.csv"
+    file.write_text("x_mm,y_mm,z_mm\n180,0,260\n")
+    assert read_positions(file, "mm").directions.tolist() == [[180, 0, 260]]
+    with pytest.raises(FileError, match="leave the unit out"):
+        read_positions(file, "cm")
+    with pytest.raises(RangeError, match="one of mm, cm, m, in"):
+        read_positions(file, "feet")
+
+
+@pytest.mark.parametrize(
     "text",
     [
         "a b.jpg 180 0 260\nc.jpg -90 155.5 260\nd.jpg -90 -155.5 260\n",

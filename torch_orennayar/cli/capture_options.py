@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .options import Encoding, parse_vector
+from .options import Encoding, LengthUnit, parse_vector
 
 if TYPE_CHECKING:
     from ..io.capture import Capture
@@ -19,6 +19,7 @@ def load_from_options(
     crop: str | None,
     scale: float,
     encoding: Encoding,
+    unit: LengthUnit | None,
     **files: Path | None,
 ) -> Capture:
     """`load_capture` with vectors and the mask's ``whole`` as they are written on a command line.
@@ -30,6 +31,7 @@ def load_from_options(
         crop: ``LEFT,TOP,WIDTH,HEIGHT``.
         scale: as `load_capture` takes it.
         encoding: as `load_capture` takes it.
+        unit: as `load_capture` takes it.
         files: the other files that `load_capture` takes, by its names.
 
     Raises:
@@ -44,5 +46,6 @@ def load_from_options(
         crop=None if crop is None else [round(n) for n in parse_vector("--crop", crop, "100,50,800,600")],
         scale=scale,
         encoding=encoding,
+        unit=unit,
         **files,
     )

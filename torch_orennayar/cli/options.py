@@ -21,6 +21,7 @@ ModelName = Literal["lambert", "qualitative", "qualitative-0.57", "fujii", "full
 StereoModel = Literal["auto", ModelName, "network"]
 ShapeModel = Literal["auto", ModelName]
 Encoding = Literal["auto", "linear", "srgb"]
+LengthUnit = Literal["mm", "cm", "m", "in"]
 
 Output = Annotated[Path, typer.Option("-o", "--output", help="Folder for the results.")]
 Seed = Annotated[int, typer.Option(help="Seed of everything drawn at random.", min=0, max=2**63 - 1)]
@@ -30,6 +31,18 @@ LightFile = Annotated[Path | None, typer.Option(help="Light file outside the fol
 PositionFile = Annotated[
     Path | None, typer.Option(help="File of near lights: x y z from the object, right, up, to the camera, in mm.")
 ]
+CameraDistance = Annotated[
+    float | None, typer.Option("--camera-distance", help="Camera to object in mm, for --positions.", min=1)
+]
+UnitOption = Annotated[LengthUnit | None, typer.Option(help="Unit of --positions where the file states none.")]
+PixelSize = Annotated[
+    float | None,
+    typer.Option("--pixel-size", metavar="MM", help="Of the object, what a pixel of the photographs covers, in mm."),
+]
+RefineLights = Annotated[
+    bool, typer.Option("--refine-lights", help="Replace lights of the file that the photographs contradict.")
+]
+LeastSquares = Annotated[bool, typer.Option("--least-squares", help="Plain Lambertian least squares.")]
 MaskFile = Annotated[Path | None, typer.Option(help="Mask image outside the folder; white is the object.")]
 MaskChoice = Annotated[
     Path | None,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -15,16 +16,21 @@ from .capture_options import load_from_options
 from .options import (
     BallMask,
     BallOutline,
+    CameraDistance,
     Crop,
     EncodingOption,
     FieldOfView,
+    LeastSquares,
     LightFile,
     MaskChoice,
     Output,
+    PixelSize,
     PositionFile,
+    RefineLights,
     Scale,
     Seed,
     StereoModel,
+    UnitOption,
 )
 
 if TYPE_CHECKING:
@@ -47,19 +53,17 @@ def stereo(
     crop: Crop = None,
     scale: Scale = 1.0,
     positions: PositionFile = None,
-    distance: Annotated[
-        float | None, typer.Option("--camera-distance", help="Camera to object in mm, for --positions.", min=1)
-    ] = None,
+    unit: UnitOption = None,
+    distance: CameraDistance = None,
     fov: FieldOfView = None,
+    pixel_size: PixelSize = None,
     ambient: Annotated[Path | None, typer.Option(help="Photograph with all lights off; default: ambient.*.")] = None,
     encoding: EncodingOption = "auto",
     own_intensities: Annotated[
         bool, typer.Option("--own-intensities", help="Estimate the lights' intensities from the capture itself.")
     ] = False,
-    refine_lights: Annotated[
-        bool, typer.Option("--refine-lights", help="Replace lights of the file that the photographs contradict.")
-    ] = False,
-    least_squares: Annotated[bool, typer.Option("--least-squares", help="Plain Lambertian least squares.")] = False,
+    refine_lights: RefineLights = False,
+    least_squares: LeastSquares = False,
     report: Annotated[bool, typer.Option(" /--no-report", help="Write no figures and no report.html.")] = True,
     animation: Annotated[bool, typer.Option(" /--no-animation", help="Write no relight.gif and turntable.gif.")] = True,
     seed: Seed = 0,
@@ -70,12 +74,13 @@ def stereo(
 
     if least_squares and model not in ("auto", "lambert"):
         raise RangeError("--least-squares", expected="no --model, or lambert", got=model, mend="leave one of them out")
+    _check_size(positions, unit, pixel_size)
     _check_near(positions, distance, fov, other=refine_lights or least_squares)
     check_output(output, RECONSTRUCTION_FILES)
     begun = time.perf_counter()
     loaded = load_from_options(
         capture, lights=lights, mask=mask, chrome=chrome, positions=positions, ambient=ambient, encoding=encoding,
-        ball=ball, ball_mask=ball_mask, crop=crop, scale=scale,
+        ball=ball, ball_mask=ball_mask, crop=crop, scale=scale, unit=unit,
     )  # fmt: skip
     if own_intensities:
         loaded = loaded.with_own_intensities(seed=seed)
@@ -89,7 +94,7 @@ def stereo(
     loaded = replace(loaded, images=loaded.images[:0].clone())  # frees the memory of large captures for drawing
     written = write_reconstruction(
         output, found, loaded, title=capture.resolve().name, seconds=seconds, shown=shown, report=report,
-        animation=animation, pixel_mm=None if fov is None else _pixel_mm(loaded, distance, fov),
+        animation=animation, pixel_mm=pixel_size / scale if pixel_size else fov and _pixel_mm(loaded, distance, fov),
     )  # fmt: skip
     if found.lights is not None or "lights-found" in {note.code for note in loaded.notes}:
         _write_lights(output, loaded.lights if found.lights is None else found.lights, loaded.intensities)
@@ -118,6 +123,18 @@ def _say(numbers: ResultNumbers) -> None:
     if error:
         of_all = f"{error['pixels']} of {numbers['pixels']} pixels"
         typer.echo(f"normal error: mean {error['mean']:.2f}, median {error['median']:.2f} degrees over {of_all}")
+
+
+def _check_size(positions: Path | None, unit: str | None, pixel_size: float | None) -> None:
+    """Check what says how large things are: a unit belongs to positions, and these say themselves what a pixel is."""
+    if unit is not None and positions is None:
+        raise RangeError("--unit", expected="--positions beside it", got="none", mend="leave --unit out")
+    if pixel_size is not None and (positions is not None or not 0 < pixel_size < math.inf):
+        raise RangeError(
+            "--pixel-size", expected="millimetres above 0, and no --positions", got=f"{pixel_size:g}",
+            mend="measure something in the photographs: its millimetres divided by its pixels; with --positions the "
+            "size follows from --camera-distance and --fov",
+        )  # fmt: skip
 
 
 def _check_near(positions: Path | None, distance: float | None, fov: float | None, *, other: bool) -> None:
@@ -155,8 +172,6 @@ def _solve(
 
 def _solve_near(loaded: Capture, model: StereoModel, distance: float, fov: float, seed: int) -> Reconstruction:
     """Solve under near lights; the depth becomes a height in pixels, as results are written."""
-    import math
-
     from ..geometry.camera import Camera
     from ..stereo.near_light import near_light_stereo
 
@@ -177,7 +192,5 @@ def _solve_near(loaded: Capture, model: StereoModel, distance: float, fov: float
 
 def _pixel_mm(loaded: Capture, distance: float | None, fov: float) -> float:
     """Millimetres of the object that a pixel covers at the distance of the camera."""
-    import math
-
     assert distance is not None  # comes with fov, see _check_near
     return 2 * distance * math.tan(math.radians(fov) / 2) / loaded.mask.shape[1]

@@ -87,6 +87,7 @@ def load_capture(
     mask: str | os.PathLike[str] | None = None,
     chrome: str | os.PathLike[str] | None = None,
     positions: str | os.PathLike[str] | None = None,
+    unit: str | None = None,
     ambient: str | os.PathLike[str] | None = None,
     encoding: str = "auto",
     ball: Ball | Sequence[float] | None = None,
@@ -116,6 +117,7 @@ def load_capture(
             optionally with a ``mask.png`` of the ball; directions are measured from its highlights and no light file
             is read.
         positions: a file of the positions of near lights (`read_positions`), instead of a light file.
+        unit: of these positions, ``mm``, ``cm``, ``m`` or ``in``, where the file states none; default: millimetres.
         ambient: a photograph with all lights off, outside the folder.
         encoding: ``"linear"``, ``"srgb"``, or ``"auto"``: what the files state (profile, sRGB or gamma chunk, Exif),
             else 8-bit files are sRGB-encoded, unless under 8 lights or more they predict lights that are left out far
@@ -162,7 +164,7 @@ def load_capture(
     others = tuple(f for f in (mask_file, ambient_file) if f is not None)
     marked = given_ball(ball, ball_mask)
     given = read_lights(
-        source, others, lights=lights, chrome=chrome, positions=positions, ball=marked, encoding=encoding
+        source, others, lights=lights, chrome=chrome, positions=positions, unit=unit, ball=marked, encoding=encoding
     )
     plan = _Plan(
         folder,

@@ -51,6 +51,7 @@ def read_lights(
     lights: PathLike | None,
     chrome: PathLike | None,
     positions: PathLike | None,
+    unit: str | None,
     ball: Ball | None,
     encoding: str,
 ) -> GivenLights:
@@ -62,6 +63,7 @@ def read_lights(
         lights: a light file.
         chrome: a folder of photographs of a ball.
         positions: a file of near lights.
+        unit: of its numbers, where it states none.
         ball: a marked ball, in the photographs of ``chrome`` or else in those of the capture.
         encoding: of the photographs of the ball.
 
@@ -78,7 +80,7 @@ def read_lights(
             mend="leave the others out",
         )
     if positions is not None:
-        files, listed = pair_with_lights(folder, Path(positions), others, read_positions)
+        files, listed = pair_with_lights(folder, Path(positions), others, partial(read_positions, unit=unit))
         toward = F.normalize(listed.directions, dim=1)
         return GivenLights(files, toward, listed.intensities, listed.directions)
     if chrome is not None:

@@ -55,7 +55,9 @@ def inspect_folder(source: Path, encoding: str = "auto") -> Inspection:
     folder = source if source.is_dir() else source.parent
     mask_file, ambient = find_mask(folder), find_ambient(folder)
     others = tuple(f for f in (mask_file, ambient) if f is not None)
-    given = read_lights(source, others, lights=None, chrome=None, positions=None, ball=None, encoding=encoding)
+    given = read_lights(
+        source, others, lights=None, chrome=None, positions=None, unit=None, ball=None, encoding=encoding
+    )
     height, width = read_picture(given.files[0]).samples.shape[:2]
     region = Region(scale=min(1.0, INSPECTED_SIDE / max(height, width)))
     read = read_photographs(given.files, encoding, torch.ones(len(given.files), 3), ambient, region)

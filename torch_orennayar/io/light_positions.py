@@ -22,7 +22,7 @@ LEAST_DISTANCE = 2.0
 """Length of the longest vector up to which positions are taken for directions, millimetres; set by hand."""
 
 
-def read_positions(file: Path) -> LightList:
+def read_positions(file: Path, unit: str | None = None) -> LightList:
     """Names of photographs, or none, and positions (K, 3) of their lights in millimetres.
 
     One line per light: ``x y z``, with the photograph's name before it or without; or a table whose first line names
@@ -30,23 +30,34 @@ def read_positions(file: Path) -> LightList:
     a unit numbers are millimetres. The origin is where the camera's axis meets the object, x points right, y up and z
     toward the camera.
 
+    Args:
+        file: the text file.
+        unit: of its numbers, a key of `MILLIMETRES`, where the first line states none.
+
     Raises:
         FileError: an empty file, lines of another form, names in some lines only, units that differ.
-        RangeError: numbers that are not finite, directions instead of positions, lights all behind the object.
+        RangeError: numbers that are not finite, directions instead of positions, lights all behind the object,
+            an unknown unit.
     """
+    if unit not in (None, *MILLIMETRES):
+        known = ", ".join(filter(None, MILLIMETRES))
+        raise RangeError(
+            "unit", expected=f"one of {known}", got=repr(unit), mend="convert the positions to one of them"
+        )
     lines = read_lines(file)
     if not lines:
         raise FileError(str(file), expected="one line 'x y z' per light", got="an empty file", mend="fill it")
     columns = [_COORDINATE.fullmatch(clean_name(cell)) for cell in split_columns(lines[0][1])]
     if {match[1].lower() for match in columns if match} == {"x", "y", "z"}:
-        listed = _read_table(file, lines)
+        listed = _read_table(file, lines, unit)
     else:
         listed = _read_rows(file, lines)
+        listed = listed._replace(directions=listed.directions * MILLIMETRES[unit or ""])
     _check(file, listed.directions)
     return listed
 
 
-def _read_table(file: Path, lines: list[tuple[int, str]]) -> LightList:
+def _read_table(file: Path, lines: list[tuple[int, str]], unit: str | None) -> LightList:
     """A table whose first line names its columns."""
     header = [clean_name(cell) for cell in split_columns(lines[0][1])]
     places, units = {}, set()
@@ -58,6 +69,11 @@ def _read_table(file: Path, lines: list[tuple[int, str]]) -> LightList:
     if len(units) > 1:
         raise FileError(
             str(file), expected="one unit", got=", ".join(sorted(units)), mend="write all columns in one unit"
+        )
+    stated = units.pop() or unit or ""
+    if unit not in (None, stated):
+        raise FileError(
+            str(file), expected=f"positions in {unit}", got=f"{stated} in the first line", mend="leave the unit out"
         )
     named = next((place for place, cell in enumerate(header) if cell.lower() in NAMES), None)
     names, rows = [], []
@@ -73,7 +89,7 @@ def _read_table(file: Path, lines: list[tuple[int, str]]) -> LightList:
             ) from error  # fmt: skip
     if not rows:
         raise FileError(str(file), expected="a line per light", got="the first line alone", mend="write the positions")
-    return LightList(names, torch.tensor(rows, dtype=torch.float64).mul(MILLIMETRES[units.pop()]).float())
+    return LightList(names, torch.tensor(rows, dtype=torch.float64).mul(MILLIMETRES[stated]).float())
 
 
 def _read_rows(file: Path, lines: list[tuple[int, str]]) -> LightList:
