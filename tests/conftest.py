@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -10,7 +11,9 @@ from hypothesis import settings
 from torch import Tensor
 
 from tests.support import rendered_captures, traced_graphs
+from tests.support.command_line import Result, Run
 from tests.support.objects import Scene
+from torch_orennayar.cli import main
 from torch_orennayar.io.capture import save_capture
 
 settings.register_profile("project", deadline=None, derandomize=True, max_examples=40)
@@ -35,6 +38,24 @@ def graphs_are_traced_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator
     with pytest.MonkeyPatch.context() as patch:
         traced_graphs.share(patch, folder)
         yield
+
+
+@pytest.fixture
+def orennayar(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Run:
+    """Run the command with the given words."""
+
+    def run(*arguments: object) -> Result:
+        monkeypatch.setattr(sys, "argv", ["orennayar", *(str(a) for a in arguments)])
+        capfd.readouterr()
+        try:
+            main()
+            status = 0
+        except SystemExit as leave:
+            status = int(leave.code or 0)
+        captured = capfd.readouterr()
+        return Result(status, captured.out, captured.err)
+
+    return run
 
 
 @pytest.fixture(scope="session")
