@@ -48,15 +48,20 @@ def outdated() -> bool:
     return not last.exists() or last.stat().st_mtime < max(s.stat().st_mtime for s in sources)
 
 
-def prepare() -> None:
-    """Install the page's packages, and write its graphs unless they are newer than the Python package."""
+def install() -> None:
+    """Install the page's packages, unless they are those of the lock file."""
     locked = HERE / "node_modules" / ".package-lock.json"
     if not locked.exists() or locked.stat().st_mtime < (HERE / "package-lock.json").stat().st_mtime:
         npm = shutil.which("npm")
         if npm is None:
-            sys.exit("npm is needed to fetch onnxruntime-web: install Node.js 20 or newer")
-        print("fetching onnxruntime-web", flush=True)
+            sys.exit("npm is needed to fetch the packages of the page: install Node.js 20 or newer")
+        print("fetching the page's packages", flush=True)
         subprocess.run([npm, "ci", "--silent", "--no-audit", "--no-fund", "--ignore-scripts"], cwd=HERE, check=True)
+
+
+def prepare() -> None:
+    """`install`, and write the graphs unless they are newer than the Python package."""
+    install()
     if outdated():
         sys.path.insert(0, str(ROOT))
         from scripts.environment import prepare as environment
