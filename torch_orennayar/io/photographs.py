@@ -28,9 +28,9 @@ from .region import WHOLE, Region
 
 Floats: TypeAlias = npt.NDArray[np.float32]
 
-HALF_FROM = 1 << 29
+HALF_FROM = 1 << 28
 """Number of samples of a capture (K x 3 x H x W) from which images are kept in half precision, which rounds each value
-by at most 0.05 % and halves the memory; set by hand: 2 GiB in float32."""
+by at most 0.05 % and halves the memory; set by hand: 1 GiB in float32."""
 DARK_WORDS = ("ambient", "off", "dark", "black")
 """A photograph of one of these names, or whose name ends with one, was taken with all lights off."""
 OTHER_WORDS = ("ref", "reference", "preview", "thumbnail", "thumb")
