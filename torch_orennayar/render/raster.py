@@ -65,22 +65,47 @@ def visible_faces(
     Returns:
         (B, H * W) int64; F where a pixel sees no face.
     """
-    views, count = points.x.shape
-    height, width = size
-    best = torch.full((views * height * width,), EMPTY, device=faces.device)
-    if exporting() or faces.shape[0]:
-        if exporting():  # as a constant it would be stored in the file
-            best = (faces[0, 0] * 0 + EMPTY).expand(best.shape[0]).clone()
-        scale = _depth_scale(points, faces, near)
-        snapped = _snap(points, near, scale)
-        whole = not exporting() and not bool(snapped.x.isnan().any())
-        for corner, face, view in _chunks(faces, views, count):
-            if not exporting():
-                _draw(best, _Faces(snapped, corner, face, view), size, cull)
-            if not whole:
-                _draw_cut(best, points, snapped, (corner, face, view), size, near, scale, cull)
-    shown = best.reshape(views, -1) & ((1 << FACE_BITS) - 1)
+    if not exporting() and not faces.shape[0]:
+        return torch.zeros(points.x.shape[0], size[0] * size[1], dtype=torch.int64, device=faces.device)
+    shown = _nearest(points, faces, size, near, cull, _depth_scale(points, faces, near)) & ((1 << FACE_BITS) - 1)
     return shown.clamp_max(faces.shape[0])
+
+
+def nearest_depths(points: Projected, faces: Tensor, size: tuple[int, int]) -> Tensor:
+    """Depth of the nearest face at every pixel of orthographic views, (B, H * W) float64; infinite where none is.
+
+    Args:
+        points: projected vertices.
+        faces: (F, 3) int64, at least one.
+        size: (H, W).
+    """
+    low, factor = _depth_scale(points, faces, None)
+    best = _nearest(points, faces, size, None, None, (low, factor))
+    depth = low + ((best >> FACE_BITS) - MARGIN) / factor.clamp_min(1e-300)  # a factor of 0: all depths are ``low``
+    return torch.where(best == EMPTY, torch.inf, torch.where(factor > 0, depth, low))
+
+
+def _nearest(
+    points: Projected,
+    faces: Tensor,
+    size: tuple[int, int],
+    near: float | None,
+    cull: str | None,
+    scale: tuple[Tensor, Tensor],
+) -> Tensor:
+    """The smallest key of every pixel, (B, H * W)."""
+    views, count = points.x.shape
+    best = torch.full((views * size[0] * size[1],), EMPTY, device=faces.device)
+    if exporting():  # as a constant it would be stored in the file
+        best = (faces[0, 0] * 0 + EMPTY).expand(best.shape[0]).clone()
+    snapped = _snap(points, near, scale)
+    whole = not exporting() and not bool(snapped.x.isnan().any())
+    for corner, face, view in _chunks(faces, views, count):
+        if not exporting():
+            _draw(best, _Faces(snapped, corner, face, view), size, cull)
+        if not whole:
+            _draw_cut(best, points, snapped, (corner, face, view), size, near, scale, cull)
+    return best.reshape(views, -1)
 
 
 def _chunks(faces: Tensor, views: int, vertices: int) -> Iterator[tuple[Tensor, Tensor, Tensor]]:

@@ -11,7 +11,11 @@ from ..core.errors import ShapeError
 from ..core.progress import track
 from ..geometry.camera import Camera
 from ..geometry.mesh import check_mesh
-from .normal_map import NormalMap, check_size, render_normals
+from .normal_map import NormalMap, check_size
+from .raster import Projected, nearest_depths
+
+TEXELS = 1 << 21
+"""Texels of the shadow maps that are drawn together, about; set by hand, for 16 MB of depths."""
 
 
 @torch.no_grad()
@@ -60,56 +64,54 @@ def cast_shadows(vertices: Tensor, faces: Tensor, seen: NormalMap, lights: Tenso
         raise ShapeError("lights", expected="(K, 3)", got=str(tuple(lights.shape)), mend="one row per light")
     check_unit("lights", lights, 1, gaps=False)
     mask = seen.mask[0, 0]
-    body = seen.camera.to_camera_frame(vertices)[0]
-    low, high = body.amin(0), body.amax(0)
-    middle, radius = (low + high) / 2, float((high - low).norm()) / 2 * 1.01 + 1e-12
+    reached = torch.ones(len(lights), 1, *mask.shape, dtype=seen.normal.dtype, device=mask.device)
+    if not len(lights) or not bool(mask.any()):
+        return reached
+    body = seen.camera.to_camera_frame(vertices)[0].double()
     points = seen.camera.points(torch.where(seen.mask, seen.depth, 0.0))[0][:, mask].T.to(body)
     normal = seen.normal[0][:, mask].T.to(body)
-    reached = torch.ones(len(lights), 1, *mask.shape, dtype=seen.normal.dtype, device=mask.device)
-    for index, light in enumerate(track(lights.to(body), "shadows", len(lights))):
-        reached[index, 0, mask] = _reached(body, faces, points, normal, light, middle, radius, resolution).to(reached)
+    together = max(1, TEXELS // resolution**2)
+    groups = track(lights.to(body).split(together), "shadows")
+    shares = [_reached(body, faces, points, normal, some, resolution) for some in groups]
+    reached[:, 0, mask] = torch.cat(shares).to(reached)
     return reached
 
 
-def _reached(
-    body: Tensor,
-    faces: Tensor,
-    points: Tensor,
-    normal: Tensor,
-    light: Tensor,
-    middle: Tensor,
-    radius: float,
-    resolution: int,
-) -> Tensor:
-    """The share of one light that reaches P points, (P,) in [0, 1].
+def _reached(body: Tensor, faces: Tensor, points: Tensor, normal: Tensor, lights: Tensor, resolution: int) -> Tensor:
+    """The share of K lights that reaches P points, (K, P) in [0, 1].
 
     Args:
-        body: (V, 3) vertices in the camera frame.
+        body: (V, 3) vertices in the camera frame, float64.
         faces: (F, 3).
         points: (P, 3) in the camera frame.
         normal: (P, 3), unit.
-        light: (3,) unit direction.
-        middle: (3,) centre of a sphere around the mesh.
-        radius: its radius.
-        resolution: height and width of the shadow map.
+        lights: (K, 3) unit directions.
+        resolution: height and width of the shadow maps.
     """
-    up = (0.0, 1.0, 0.0) if abs(float(light[1])) < 0.9 else (1.0, 0.0, 0.0)
-    camera = Camera.orthographic(radius, eye=middle + 2 * radius * light, target=middle, up=up)
-    depth = render_normals(body, faces, camera, (resolution, resolution)).depth
-    depth = torch.where(depth.isfinite(), depth, 1e9)
+    size = (resolution, resolution)
+    low, high = body.amin(0), body.amax(0)
+    middle, radius = (low + high) / 2, float((high - low).norm()) / 2 * 1.01 + 1e-12
+    sideways = lights[:, 1:2].abs() >= 0.9
+    up = torch.cat((sideways, ~sideways, torch.zeros_like(sideways)), 1).to(body)
+    camera = Camera.orthographic(radius, eye=middle + 2 * radius * lights, target=middle, up=up)
+    corners = camera.to_camera_frame(body)
+    x, y, w = camera.to_image(corners, size).unbind(2)
+    depth = nearest_depths(Projected(x, y, w, -corners[:, :, 2]), faces, size)
     there = camera.to_camera_frame(points)
     # A texel stores one depth, although a slope is deeper elsewhere in it: the margin is one texel plus 1.5 times the
     # slope (set by hand), which is clamped where the surface is nearly parallel to the light.
-    cosine = (normal @ light).clamp(0.05, 1)
+    facing = lights @ normal.T
+    cosine = facing.clamp(0.05, 1)
     slack = 2 * radius / resolution * (1 + 1.5 * (1 - cosine * cosine).sqrt() / cosine)
-    nearer = -there[0, :, 2] - slack
-    corners = camera.to_image(there, (resolution, resolution))[0, :, :2] - 0.5
-    base = corners.floor()
-    share = corners - base
+    nearer = -there[:, :, 2] - slack
+    place = camera.to_image(there, size)[:, :, :2] - 0.5
+    base = place.floor()
+    share = place - base
     lit = torch.zeros_like(nearer)
-    for x in (0, 1):
-        for y in (0, 1):
-            column, row = (base + base.new_tensor((x, y))).long().clamp(0, resolution - 1).unbind(1)
-            open_sky = (depth[0, 0, row, column] > nearer).to(lit)
-            lit += open_sky * (share[:, 0] if x else 1 - share[:, 0]) * (share[:, 1] if y else 1 - share[:, 1])
-    return torch.where(normal @ light > 0, lit, 1.0)
+    for x_step in (0, 1):
+        for y_step in (0, 1):
+            column, row = (base + base.new_tensor((x_step, y_step))).long().clamp(0, resolution - 1).unbind(2)
+            open_sky = (depth.gather(1, row * resolution + column) > nearer).to(lit)
+            weight = share if x_step else 1 - share, share if y_step else 1 - share
+            lit += open_sky * weight[0][:, :, 0] * weight[1][:, :, 1]
+    return torch.where(facing > 0, lit, 1.0)
