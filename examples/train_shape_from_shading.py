@@ -24,10 +24,7 @@ from torch import Tensor, nn
 
 import torch_orennayar as ton
 
-MATT = ton.Ingredients(
-    rough=1.0, glazed=0.0, retro=0.0, falloff=0.0, glossy=0.0, metal=0.0, sheen=0.0, shadows=0, bounce=False,
-    ambient=0.0, light_error=0.0, intensity_error=0.0, noise=(0.01, 0.005), clipped=0.0, outliers=0.0, bits=(8.0, 12.0),
-)  # fmt: skip
+MATT = ton.Ingredients.plain(rough=1.0, noise=(0.01, 0.005), bits=(8.0, 12.0))
 """Rough surfaces without highlights, shadows and interreflection."""
 BATCH = 16
 """Pictures of a step. Set by hand, as all of these."""

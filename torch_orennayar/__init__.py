@@ -53,7 +53,8 @@ if TYPE_CHECKING:  # what type checkers and editors read; at run time `__getattr
     from .synthetic.captures import SyntheticCaptures
     from .synthetic.collate import SyntheticBatch, collate_captures
     from .synthetic.images import SyntheticImages
-    from .synthetic.pixels import Ingredients, SyntheticPixels
+    from .synthetic.ingredients import Ingredients
+    from .synthetic.pixels import SyntheticPixels
 
 _HOMES = {
     "core.errors": (
@@ -155,10 +156,8 @@ _HOMES = {
         "collate_captures",
     ),
     "synthetic.images": ("SyntheticImages",),
-    "synthetic.pixels": (
-        "Ingredients",
-        "SyntheticPixels",
-    ),
+    "synthetic.ingredients": ("Ingredients",),
+    "synthetic.pixels": ("SyntheticPixels",),
 }
 """The module that defines each public name."""
 _MODULE_OF = {name: module for module, names in _HOMES.items() for name in names}

@@ -23,7 +23,7 @@ from tests.support.example_code import load
 from torch_orennayar import SyntheticCaptures, SyntheticImages, SyntheticPixels
 from torch_orennayar.io.figures import save_sheet, show_light, show_normals
 from torch_orennayar.stereo.set_network import load_network
-from torch_orennayar.synthetic.pixels import Draw
+from torch_orennayar.synthetic.draw import Draw
 from torch_orennayar.synthetic.scenes import SCENE_LIGHTS, draw_scene
 
 LINK = 12.5e9

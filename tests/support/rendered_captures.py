@@ -33,7 +33,7 @@ from torch_orennayar import (
 from torch_orennayar.geometry.mesh import normalise_mesh
 from torch_orennayar.geometry.primitives import bumpy_ball, spiral_lights
 from torch_orennayar.render.radiosity import SeenSurface, light_between
-from torch_orennayar.synthetic.pixels import transmitted
+from torch_orennayar.synthetic.materials import transmitted
 
 NOISE = 0.01
 """Standard deviation of the noise as a share of the brightest pixels."""

@@ -20,7 +20,7 @@ from torch.utils.data import DataLoader
 
 import torch_orennayar as ton
 from torch_orennayar import Ingredients, SyntheticCaptures, SyntheticImages, SyntheticPixels
-from torch_orennayar.synthetic.pixels import transmitted
+from torch_orennayar.synthetic.materials import transmitted
 
 PLAIN = Ingredients(
     rough=0, glazed=0, retro=0, falloff=0, glossy=0, metal=0, sheen=0, shadows=0, bounce=False, ambient=0,

@@ -46,7 +46,9 @@ class SeenSurface(NamedTuple):
         return SeenSurface(points, normal, view, area)
 
 
-def light_between(surface: SeenSurface, albedo: Tensor, irradiance: Tensor, generator: torch.Generator) -> Tensor:
+def light_between(
+    surface: SeenSurface, albedo: Tensor, irradiance: Tensor, generator: torch.Generator, *, patches: int = PATCHES
+) -> Tensor:
     """Interreflected irradiance at every pixel, from randomly chosen sample points.
 
     Args:
@@ -54,30 +56,34 @@ def light_between(surface: SeenSurface, albedo: Tensor, irradiance: Tensor, gene
         albedo: (P, C) in [0, 1].
         irradiance: (P, K) from each light.
         generator: chooses the sample points.
+        patches: their number.
 
     Returns:
         (P, C, K) irradiance from the rest of the surface.
     """
     order = torch.randperm(len(albedo), generator=generator, device=albedo.device)
     parts = surface.points, surface.normal, surface.area, albedo, irradiance
-    return bounced_light(*(part[order] for part in parts))[order.argsort()]
+    return bounced_light(*(part[order] for part in parts), patches=patches)[order.argsort()]
 
 
-def bounced_light(points: Tensor, normal: Tensor, area: Tensor, albedo: Tensor, irradiance: Tensor) -> Tensor:
+def bounced_light(
+    points: Tensor, normal: Tensor, area: Tensor, albedo: Tensor, irradiance: Tensor, *, patches: int = PATCHES
+) -> Tensor:
     """Irradiance from the rest of a Lambertian surface, without occlusion between two points.
 
     Args:
-        points: (P, 3), in random order: the first `PATCHES` are the sample points.
+        points: (P, 3), in random order: the first are the sample points.
         normal: (P, 3), unit.
         area: (P, 1) of the surface at each point, in the unit of the points, squared.
         albedo: (P, C) in [0, 1].
         irradiance: (P, K) from each light.
+        patches: number of sample points.
 
     Returns:
         (P, C, K).
     """
-    some = slice(0, PATCHES)
-    share = area[some] * len(points) / min(PATCHES, len(points))
+    some = slice(0, patches)
+    share = area[some] * len(points) / min(patches, len(points))
     factors = form_factors(points, normal, points[some], normal[some], share)
     own = albedo[some, :, None] * irradiance[some, None]
     sent = own

@@ -16,10 +16,10 @@ from ..core.errors import RangeError, ShapeError
 from ..core.progress import track
 from ..geometry.mesh import check_mesh
 from ..geometry.mesh_files import Mesh
+from .draw import Draw
 from .images import SyntheticImages, draw_images
+from .ingredients import Ingredients
 from .pixels import (
-    Draw,
-    Ingredients,
     Surroundings,
     SyntheticPixels,
     draw_lights,
@@ -45,7 +45,8 @@ class SyntheticCaptures(IterableDataset[Sample]):
 
     Samples of kind ``"pixels"`` are `SyntheticPixels`: single pixels, each with a material, shadows and lights of its
     own. Those of kind ``"images"`` are `SyntheticImages`: one mesh in one textured material with cast shadows, seen by
-    a random camera. Light is linear; directions are unit vectors in the camera frame.
+    a random camera, with everything that the pictures follow from. Light is linear; directions are unit vectors in the
+    camera frame.
 
     Workers of a `DataLoader` and ranks of a process group share the indices among themselves; the group is asked when
     iteration begins, so that captures may be made before it. Where a trainer shards iterable datasets itself, as
@@ -58,7 +59,7 @@ class SyntheticCaptures(IterableDataset[Sample]):
         start: index of the first capture.
         length: number of captures, over all ranks; default endless.
         mix: what captures contain; `Ingredients`.
-        lights: fewest and most lights; in scenes 48 at most.
+        lights: fewest and most lights, of ``"pixels"`` 3 at least; in scenes 48 at most.
         observations: of ``"pixels"``: P times K, about.
         scenes: of ``"pixels"``: number of rendered scenes, whose parts shadow each other and reflect light onto each
             other, that four in five samples are taken from; the others have random walls beside each pixel. A scene
@@ -71,7 +72,7 @@ class SyntheticCaptures(IterableDataset[Sample]):
         world: number of processes; default: of the process group when iteration begins, or 1.
 
     Raises:
-        RangeError: an unknown kind, fewer than 3 lights, or more than 48 in scenes, fewer than 0 scenes or scenes of
+        RangeError: an unknown kind, too few lights, or more than 48 in scenes, fewer than 0 scenes or scenes of
             ``"images"``, a rank that is not below ``world``, meshes that show nothing, or numbers of another type.
         ShapeError: meshes that are not pairs of tensors.
 
@@ -136,8 +137,10 @@ class SyntheticCaptures(IterableDataset[Sample]):
     ) -> None:
         if kind not in ("pixels", "images"):
             raise RangeError("kind", expected="'pixels' or 'images'", got=repr(kind), mend="choose one")
-        if not _is_pair(lights) or not 3 <= lights[0] <= lights[1]:
-            raise RangeError("lights", expected="fewest and most, 3 or more", got=str(lights), mend="put them in order")
+        fewest = 3 if kind == "pixels" else 1
+        if not _is_pair(lights) or not fewest <= lights[0] <= lights[1]:
+            wanted = f"fewest and most, {fewest} or more"
+            raise RangeError("lights", expected=wanted, got=str(lights), mend="put them in order")
         if scenes and lights[0] > SCENE_LIGHTS:
             most = f"fewest lights of at most {SCENE_LIGHTS} in scenes"
             raise RangeError("lights", expected=most, got=str(lights), mend="ask for fewer, or for no scenes")

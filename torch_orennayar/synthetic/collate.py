@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TypedDict
+from typing import cast
 
 import torch
 import torch.nn.functional as F
@@ -12,29 +12,24 @@ from torch import Tensor
 from ..core.errors import ShapeError
 from .images import SyntheticImages
 
+PER_LIGHT = {"images": 0.0, "lights": 0.0, "reached": 0.0, "between": 0.0, "remainder": 0.0, "true_lights": 0.0,
+             "brightness": 1.0}  # fmt: skip
+"""What has a first axis of lights, and the value that stands for lights that a sample does not have."""
 
-class SyntheticBatch(TypedDict):
-    """B samples of kind ``"images"``; K is the largest number of lights among them.
+
+class SyntheticBatch(SyntheticImages):
+    """B samples of kind ``"images"``: every tensor of `SyntheticImages` with B in front.
+
+    K is the largest number of lights among them. Beyond a sample's own lights pictures are 0, lights (0, 0, 1) and
+    brightness 1.
 
     Attributes:
-        images: (B, K, 3, H, W), 0 beyond a sample's own lights.
-        lights: (B, K, 3) unit directions, (0, 0, 1) beyond a sample's own.
         valid: (B, K, 1, H, W) bool, False there, as `photometric_stereo` takes it.
         counts: (B,) int64 number of lights of each sample.
-        mask: (B, 1, H, W) bool.
-        normal: (B, 3, H, W).
-        albedo: (B, 3, H, W).
-        roughness: (B, 1, H, W) radians.
     """
 
-    images: Tensor
-    lights: Tensor
     valid: Tensor
     counts: Tensor
-    mask: Tensor
-    normal: Tensor
-    albedo: Tensor
-    roughness: Tensor
 
 
 def collate_captures(samples: Sequence[SyntheticImages]) -> SyntheticBatch:
@@ -66,21 +61,20 @@ def collate_captures(samples: Sequence[SyntheticImages]) -> SyntheticBatch:
         raise ShapeError("samples", expected="one size", got=str(sorted(sizes)), mend="crop them alike")
     counts = torch.tensor([len(sample["lights"]) for sample in samples], device=samples[0]["lights"].device)
     most = int(counts.max())
-    images, lights = [], []
-    for sample in samples:
-        missing = most - len(sample["lights"])
-        images.append(F.pad(sample["images"], (0, 0, 0, 0, 0, 0, 0, missing)))
-        toward_viewer = sample["lights"].new_tensor((0.0, 0.0, 1.0)).expand(missing, 3)
-        lights.append(torch.cat((sample["lights"], toward_viewer)))
+    batch: dict[str, Tensor] = {}
+    for name in samples[0]:
+        values = [cast("Tensor", sample[name]) for sample in samples]  # type: ignore[literal-required]
+        if name in PER_LIGHT:
+            values = [_pad(value, most, PER_LIGHT[name]) for value in values]
+        batch[name] = torch.stack(values)
     there = torch.arange(most, device=counts.device) < counts[:, None]
+    for name in ("lights", "true_lights"):
+        batch[name][~there] = batch[name].new_tensor((0.0, 0.0, 1.0))
     size = samples[0]["images"].shape[2:]
-    return {
-        "images": torch.stack(images),
-        "lights": torch.stack(lights),
-        "valid": there[:, :, None, None, None].expand(-1, -1, 1, *size),
-        "counts": counts,
-        "mask": torch.stack([sample["mask"] for sample in samples]),
-        "normal": torch.stack([sample["normal"] for sample in samples]),
-        "albedo": torch.stack([sample["albedo"] for sample in samples]),
-        "roughness": torch.stack([sample["roughness"] for sample in samples]),
-    }
+    batch |= {"valid": there[:, :, None, None, None].expand(-1, -1, 1, *size), "counts": counts}
+    return cast("SyntheticBatch", batch)
+
+
+def _pad(values: Tensor, count: int, value: float) -> Tensor:
+    """(K, ...) with ``value`` up to ``count`` along the first axis."""
+    return F.pad(values, (0, 0) * (values.ndim - 1) + (0, count - len(values)), value=value)

@@ -9,16 +9,16 @@ they rest on for materials is said at `Ingredients`.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields, replace
+from dataclasses import replace
 from typing import NamedTuple, TypedDict
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from ..core.errors import RangeError
-from ..reflectance.models import get_model
-from ..reflectance.specular import microfacet
+from .draw import Draw
+from .ingredients import Ingredients
+from .materials import draw_materials
 
 WALL_REFLECTION = 0.35
 """Share of the light on an upright white wall that reaches a pixel which faces it. Set by hand."""
@@ -38,110 +38,6 @@ class SyntheticPixels(TypedDict):
     observed: Tensor
     lights: Tensor
     normal: Tensor
-
-
-@dataclass(frozen=True)
-class Ingredients:
-    """What synthetic captures contain; every share is a probability.
-
-    The shares of diffuse parts and the strengths of highlights are near those fitted to 151 measured materials
-    (`tests/support/rendered_captures.py`): two thirds are diffuse under a glaze, a quarter is rough, and the broad
-    highlight of many is nearly as bright as the diffuse part.
-
-    Attributes:
-        roughest: largest roughness of Oren-Nayar surfaces, radians.
-        rough: share of Oren-Nayar surfaces; the others are Lambertian.
-        glazed: share under a smooth dielectric interface, which reflects grazing light away.
-        retro: share whose diffuse part brightens or darkens at grazing angles as measured paints do (Burley 2012).
-        falloff: share whose diffuse part follows Minnaert's law.
-        glossy: share with a specular lobe.
-        second_lobe: share of those with a second one.
-        metal: share of glossy surfaces with almost no diffuse part.
-        sheen: share with a lobe at grazing angles, as cloth has.
-        shadows: largest number of walls that may block lights; 0 also turns cast shadows off.
-        bounce: whether walls, and in pictures and scenes the surface itself, reflect light onto pixels.
-        ambient: largest uniform light, as a share of the mean.
-        light_error: largest standard deviation of each coordinate of the stated light directions, radians.
-        intensity_error: largest relative error of the lights' stated intensities.
-        noise: largest multiplicative and additive noise, standard deviations, as shares of the pixel's value and mean.
-        clipped: share of saturated pixels.
-        outliers: share of pixels for which some photographs are capped or of wrong brightness.
-        bits: fewest and most bits of a pixel's brightest value.
-        easy: share of pixels without walls, sheen and outliers, and with less noise; shadows and interreflection of
-            scenes stay.
-    """
-
-    roughest: float = 1.0
-    rough: float = 0.25
-    glazed: float = 0.6
-    retro: float = 0.25
-    falloff: float = 0.3
-    glossy: float = 0.85
-    second_lobe: float = 0.45
-    metal: float = 0.22
-    sheen: float = 0.2
-    shadows: int = 3
-    bounce: bool = True
-    ambient: float = 0.03
-    light_error: float = math.radians(0.35)
-    intensity_error: float = 0.03
-    noise: tuple[float, float] = (0.02, 0.012)
-    clipped: float = 0.12
-    outliers: float = 0.18
-    bits: tuple[float, float] = (6.5, 14.0)
-    easy: float = 0.35
-
-    def __post_init__(self) -> None:
-        """Check every value.
-
-        Raises:
-            RangeError: a share outside [0, 1], a size below 0, a pair out of order, or something that is no number.
-        """
-        for field in fields(self):
-            value, name = getattr(self, field.name), f"Ingredients({field.name}=)"
-            if isinstance(field.default, tuple):
-                sound = isinstance(value, tuple) and len(value) == 2 and all(map(_is_size, value))
-                if not sound or (field.name == "bits" and not 1 <= value[0] <= value[1]):
-                    raise RangeError(name, expected="a pair of numbers, 0 or more", got=repr(value), mend="correct it")
-            elif field.name in _SIZES:
-                most = _SIZES[field.name]
-                if not _is_size(value) or value > most:
-                    mend = "angles are radians: use math.radians" if math.isfinite(most) else "correct it"
-                    raise RangeError(name, expected=f"a number from 0 to {most:.3g}", got=repr(value), mend=mend)
-            elif not _is_size(value) or value > 1:
-                raise RangeError(name, expected="a share from 0 to 1", got=repr(value), mend="correct it")
-
-
-_SIZES = {"roughest": math.pi / 2, "light_error": math.pi / 2, "shadows": math.inf, "intensity_error": math.inf}
-"""Largest values of the ingredients that are no share."""
-
-
-def _is_size(value: object) -> bool:
-    return isinstance(value, (int, float)) and math.isfinite(value) and value >= 0
-
-
-class Draw:
-    """The random numbers of one sample, on one device."""
-
-    def __init__(self, seed: int, device: torch.device | str = "cpu") -> None:
-        self.generator = torch.Generator(device).manual_seed(seed)
-        self.device = torch.device(device)
-
-    def uniform(self, *shape: int, low: float = 0.0, high: float = 1.0) -> Tensor:
-        """Uniform in [low, high)."""
-        return low + (high - low) * torch.rand(shape, generator=self.generator, device=self.device)
-
-    def normal(self, *shape: int) -> Tensor:
-        """Standard normal."""
-        return torch.randn(shape, generator=self.generator, device=self.device)
-
-    def bernoulli(self, probability: float, *shape: int) -> Tensor:
-        """1 with this probability, otherwise 0."""
-        return (self.uniform(*shape) < probability).float()
-
-    def log_uniform(self, *shape: int, low: float, high: float) -> Tensor:
-        """Numbers in [low, high) whose logarithms are uniform."""
-        return self.uniform(*shape, low=math.log(low), high=math.log(high)).exp()
 
 
 def draw_lights(draw: Draw, pixels: int, count: int) -> Tensor:
@@ -173,88 +69,6 @@ def draw_normals(draw: Draw, pixels: int) -> Tensor:
     """Normals (P, 3), distributed as over the pixels of a ball's picture."""
     radius, azimuth = draw.uniform(pixels).sqrt() * 0.995, draw.uniform(pixels, high=2 * math.pi)
     return torch.stack((radius * azimuth.cos(), radius * azimuth.sin(), (1 - radius * radius).sqrt()), 1)
-
-
-def transmitted(cosine: Tensor, index: Tensor | float) -> Tensor:
-    """Fresnel transmittance of a smooth dielectric, unpolarised, by the cosine outside and the refractive index."""
-    cosine = cosine.clamp_min(1e-6)
-    inside = (1 - (1 - cosine * cosine) / index**2).sqrt()
-    s = (cosine - index * inside) / (cosine + index * inside)
-    p = (inside - index * cosine) / (inside + index * cosine)
-    return 1 - (s * s + p * p) / 2
-
-
-class Lobe(NamedTuple):
-    """A microfacet lobe of P materials, (P, 1) each: GGX width, reflectance at normal incidence, and strength."""
-
-    width: Tensor
-    facing_reflectance: Tensor
-    strength: Tensor
-
-
-@dataclass(frozen=True)
-class Materials:
-    """P materials; every tensor is (P, 1).
-
-    Attributes:
-        albedo: of the diffuse part.
-        roughness: radians, of the diffuse part.
-        index: refractive index of the interface above it; 1 for none.
-        retro: 1 where Burley's diffuse factor applies, otherwise 0.
-        burley_roughness: roughness in Burley's diffuse factor.
-        falloff: power of ``n.l n.v`` that multiplies the diffuse part; 0 for none.
-        diffuse_weight: of the diffuse part.
-        lobes: specular lobes.
-        sheen: strength of the sheen.
-    """
-
-    albedo: Tensor
-    roughness: Tensor
-    index: Tensor
-    retro: Tensor
-    burley_roughness: Tensor
-    falloff: Tensor
-    diffuse_weight: Tensor
-    lobes: tuple[Lobe, ...]
-    sheen: Tensor
-
-    def reflect(self, ci: Tensor, co: Tensor, lv: Tensor) -> Tensor:
-        """``pi f_r`` (P, K) by positive cosines (P, K): ``n.l``, ``n.v`` and ``l.v``."""
-        value = get_model("vcavity").function(ci, co, lv, self.albedo, self.roughness)
-        squared_lh = ((1 + lv) / 2).clamp_min(0)  # (l.h)^2
-        grazing = 2 * self.burley_roughness * squared_lh - 0.5  # F_D90 - 1 of Burley 2012
-        burley = (1 + grazing * (1 - ci) ** 5) * (1 + grazing * (1 - co) ** 5)
-        value = value * (1 + self.retro * (burley - 1)) * (ci * co).clamp_min(1e-3) ** self.falloff
-        value = value * self.diffuse_weight
-        value = value * transmitted(ci, self.index) * transmitted(co, self.index)
-        for lobe in self.lobes:
-            value = value + lobe.strength * microfacet(ci, co, lv, lobe.width, lobe.facing_reflectance)
-        return value + self.sheen * (1 - squared_lh.sqrt()) ** 5
-
-
-def draw_materials(draw: Draw, pixels: int, mix: Ingredients) -> Materials:
-    """A material for each of P pixels."""
-    one = (pixels, 1)
-    glossy = draw.bernoulli(mix.glossy, *one)
-    metal = draw.bernoulli(mix.metal, *one) * glossy
-    lobes = []
-    for share in (1.0, mix.second_lobe):
-        width = draw.uniform(*one, low=0.12, high=0.95) ** 2
-        facing = draw.log_uniform(*one, low=0.02, high=0.2)
-        facing = torch.where(metal > 0, draw.uniform(*one, low=0.2, high=0.9), facing)
-        strength = glossy * draw.bernoulli(share, *one) * draw.uniform(*one, low=0.4, high=1.6)
-        lobes.append(Lobe(width, facing, strength))
-    return Materials(
-        albedo=draw.log_uniform(*one, low=0.03, high=0.95),
-        roughness=draw.uniform(*one, high=mix.roughest) * draw.bernoulli(mix.rough, *one),
-        index=1 + draw.uniform(*one, low=0.3, high=0.8) * draw.bernoulli(mix.glazed, *one),
-        retro=draw.bernoulli(mix.retro, *one),
-        burley_roughness=draw.uniform(*one, high=1.2),
-        falloff=draw.uniform(*one, low=-0.1, high=0.3) * draw.bernoulli(mix.falloff, *one),
-        diffuse_weight=1 - metal * draw.uniform(*one, low=0.6, high=1.0),
-        lobes=tuple(lobes),
-        sheen=draw.bernoulli(mix.sheen, *one) * draw.uniform(*one, high=0.15),
-    )
 
 
 class Surroundings(NamedTuple):
@@ -333,11 +147,17 @@ def record_pixels(draw: Draw, radiance: Tensor, mix: Ingredients, easy: Tensor) 
     top = seen.amax(1, keepdim=True)
     clip = draw.bernoulli(mix.clipped, pixels, 1)
     top = torch.where(clip > 0, top * draw.uniform(pixels, 1, low=0.4, high=1.0), top)
-    steps = (2 ** draw.uniform(pixels, 1, low=mix.bits[0], high=mix.bits[1])).floor()
-    seen = (seen / top.clamp_min(1e-6)).clamp(0, 1)
-    return (seen * steps).round() / steps
+    bits = draw.uniform(pixels, 1, low=mix.bits[0], high=mix.bits[1])
+    return round_to_bits((seen / top.clamp_min(1e-6)).clamp(0, 1), bits)
+
+
+def round_to_bits(values: Tensor, bits: Tensor) -> Tensor:
+    """Values in [0, 1] as a sensor of so many bits counts them; of 0 bits as they are."""
+    steps = (2**bits).floor()
+    return torch.where(bits > 0, (values * steps).round() / steps, values)
 
 
 def perturb_lights(draw: Draw, lights: Tensor, mix: Ingredients) -> Tensor:
     """Light directions (P, K, 3) as a capture states them: with an error of calibration."""
-    return F.normalize(lights + draw.normal(*lights.shape) * mix.light_error * draw.uniform(len(lights), 1, 1), dim=2)
+    error = draw.normal(*lights.shape) * mix.light_error * draw.uniform(len(lights), 1, 1)
+    return F.normalize(lights + error, dim=2) if mix.light_error else lights

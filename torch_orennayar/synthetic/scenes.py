@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -15,7 +16,8 @@ from ..geometry.mesh import normalise_mesh
 from ..render.normal_map import render_normals
 from ..render.radiosity import SeenSurface, light_between
 from ..render.shadow import cast_shadows
-from .pixels import Draw, draw_lights
+from .draw import Draw
+from .pixels import draw_lights
 
 MeshTensors = tuple[Tensor, Tensor]
 
@@ -89,21 +91,33 @@ def draw_mesh(draw: Draw, meshes: Sequence[MeshTensors] | None = None) -> MeshTe
 
 def _random_mesh(draw: Draw) -> MeshTensors:
     """A bumpy ball, a bumpy ring, or a heap of balls."""
-    require("trimesh")
-    import trimesh
-
     kind = int(draw.uniform(1).item() * 3)
     if kind == 2:
+        ball, faces = _unit_shape("small ball")
         parts = []
         for _ in range(4):
-            x, y, z, radius = draw.uniform(4, low=-0.5, high=0.5).tolist()
-            parts.append(trimesh.creation.icosphere(3, radius=0.3 + 0.3 * abs(radius)).apply_translation((x, y, z)))
-        mesh = trimesh.util.concatenate(parts)
+            *place, radius = draw.uniform(4, low=-0.5, high=0.5).tolist()
+            parts.append(ball * (0.3 + 0.3 * abs(radius)) + ball.new_tensor(place))
+        vertices = torch.cat(parts)
+        faces = torch.cat([faces + k * len(ball) for k in range(len(parts))])
     else:
-        mesh = trimesh.creation.icosphere(4) if kind == 0 else trimesh.creation.torus(0.65, 0.3)
-    vertices = torch.tensor(mesh.vertices, dtype=torch.float32, device=draw.device)
+        vertices, faces = _unit_shape("ball" if kind == 0 else "ring")
+    vertices = vertices.float().to(draw.device)
     waves = draw.normal(6, 3) * draw.uniform(6, 1, low=1, high=6)
     displacement = (torch.sin(vertices @ waves.T + draw.uniform(6, high=6.3)) * draw.uniform(6, low=0.0, high=0.1)).sum(
         1
     )
-    return vertices * (1 + displacement[:, None]), torch.tensor(mesh.faces, device=draw.device)
+    return vertices * (1 + displacement[:, None]), faces.to(draw.device)
+
+
+@functools.cache
+def _unit_shape(name: str) -> MeshTensors:
+    """A ball of radius 1, coarse or fine, or a ring: float64 vertices and faces; made once, for time."""
+    require("trimesh")
+    import trimesh
+
+    if name == "ring":
+        mesh = trimesh.creation.torus(0.65, 0.3)
+    else:
+        mesh = trimesh.creation.icosphere(3 if name == "small ball" else 4)
+    return torch.tensor(mesh.vertices), torch.tensor(mesh.faces)
