@@ -13,8 +13,9 @@ from torch_orennayar.core.optional import PACKAGES, require
 
 ROOT = Path(__file__).parent.parent.parent
 ALWAYS = sys.stdlib_module_names | {"torch", "numpy", "torch_orennayar"}
-ENTRANCES = {"export": {"onnx", "onnxruntime"}, "cli": {"typer"}}
-"""Folders that `require` guards at their entrance: `export/api.py` and `cli/__init__.py`."""
+ENTRANCES = {"export": {"onnx", "onnxruntime"}, "cli": {"typer"}, "compiled_coverage": {"numba"}}
+"""Folders that `require` guards at their entrance, `export/api.py` and `cli/__init__.py`, and a file that its only user
+imports where `available` says so."""
 
 
 def test_missing_packages_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -43,7 +44,7 @@ def test_packages_are_where_the_project_puts_them() -> None:
 )
 def test_third_party_imports_are_lazy_and_preceded_by_require(path: Path) -> None:
     tree = ast.parse(path.read_text(encoding="utf-8"))
-    guarded = ENTRANCES.get(path.parent.name, set())
+    guarded = ENTRANCES.get(path.parent.name, set()) | ENTRANCES.get(path.stem, set())
     parents = {child: node for node in ast.walk(tree) for child in ast.iter_child_nodes(node)}
     for node in ast.walk(tree):
         names = {name.partition(".")[0] for name in _imported(node)} - ALWAYS - guarded

@@ -16,6 +16,7 @@ PACKAGES: dict[str, tuple[str, str]] = {
     "kornia": ("kornia", ""),
     "mapbox_earcut": ("mapbox_earcut", ""),
     "matplotlib": ("matplotlib", "cli"),
+    "numba": ("numba", "fast"),
     "onnx": ("onnx", "export"),
     "onnxruntime": ("onnxruntime", ""),
     "onnxscript": ("onnxscript", "export"),

@@ -17,6 +17,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from ..core.optional import available
 from .clipping import GUARD, clip
 from .spans import DEPTH_BITS, FACE_BITS, GRID, ROWS, cover, enter, exporting, least, most, repeat, split
 
@@ -200,6 +201,14 @@ class _Boxes(NamedTuple):
 
 def _draw(best: Tensor, faces: _Faces, size: tuple[int, int], cull: str | None) -> None:
     """Enter faces into the keys ``best`` of all views."""
+    if _compiled(best):
+        from .compiled_coverage import enter_faces
+
+        shown = {None: 0, "front": 1, "back": -1}[cull]
+        points = [part.numpy() for part in faces.points]
+        listed = [part.contiguous().numpy() for part in (faces.corner, faces.face, faces.view)]
+        enter_faces(best.numpy(), points[0], points[1], points[2], listed[0], listed[1], listed[2], *size, shown)
+        return
     x, y = (t.index_select(0, faces.corner.reshape(-1)).view(3, -1) for t in (faces.points.x, faces.points.y))
     x_low, x_high, y_low, y_high = least(x), most(x), least(y), most(y)
     first, last, left, right = ((t + 127).mul_(1 / GRID).floor_() for t in (y_low, y_high, x_low, x_high))
@@ -227,6 +236,11 @@ def _draw(best: Tensor, faces: _Faces, size: tuple[int, int], cull: str | None) 
         for index, dtype in ((chosen[small], torch.float32), (chosen[~small], torch.float64)):
             if len(index):
                 _fill(best, faces, boxes, (x, y), index, size, dtype, cull)
+
+
+def _compiled(best: Tensor) -> bool:
+    """Whether numba's code takes these keys: on a CPU, where numba is installed, and where no graph is traced."""
+    return best.device.type == "cpu" and not torch.compiler.is_compiling() and not exporting() and available("numba")
 
 
 def _hidden(best: Tensor, faces: _Faces, boxes: _Boxes, chosen: Tensor, size: tuple[int, int]) -> Tensor:

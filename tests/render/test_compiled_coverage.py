@@ -1,0 +1,98 @@
+"""The coverage compiled by numba against that of torch: the same keys, to the last bit."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from torch import Tensor
+
+from torch_orennayar import Camera, cast_shadows, render_normals
+from torch_orennayar.core.optional import available
+from torch_orennayar.geometry.primitives import bumpy_ball, spiral_lights
+from torch_orennayar.render import raster
+
+pytestmark = pytest.mark.skipif(not available("numba"), reason="numba is not installed")
+
+
+def both(draw: Callable[[], Any]) -> tuple[Any, Any]:
+    """What ``draw`` returns with numba and without."""
+    compiled = draw()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(raster, "_compiled", lambda _: False)
+        return compiled, draw()
+
+
+def record_keys(patch: pytest.MonkeyPatch) -> list[Tensor]:
+    """The keys of every picture that is drawn from now on, in order."""
+    seen: list[Tensor] = []
+    nearest = raster._nearest
+
+    def recorded(*arguments: Any) -> Tensor:
+        seen.append(nearest(*arguments))
+        return seen[-1]
+
+    patch.setattr(raster, "_nearest", recorded)
+    return seen
+
+
+@given(
+    seed=st.integers(0, 2**31),
+    faces=st.integers(1, 60),
+    spread=st.sampled_from([0.01, 0.3, 3.0, 300.0]),
+    size=st.tuples(st.integers(1, 70), st.integers(1, 70)),
+    cull=st.sampled_from([None, "back", "front"]),
+    perspective=st.booleans(),
+    whole=st.booleans(),
+)
+def test_random_faces_have_the_same_keys(
+    seed: int, faces: int, spread: float, size: tuple[int, int], cull: str | None, perspective: bool, whole: bool
+) -> None:
+    """Small faces and such as reach far out of the picture and behind the camera; corners on centres of pixels."""
+    generator = torch.Generator().manual_seed(seed)
+    vertices = spread * torch.randn(2, faces + 2, 3, generator=generator, dtype=torch.float64)
+    if whole:
+        vertices = (vertices * 8).round() / 8
+    triangles = torch.randint(faces + 2, (faces, 3), generator=generator)
+    camera = Camera.perspective(math.radians(50), eye=(0.1, 0.2, 2.0)) if perspective else Camera.orthographic(1.3)
+    with pytest.MonkeyPatch.context() as patch:
+        found = record_keys(patch)
+        both(lambda: render_normals(vertices, triangles, camera, size, cull=cull, smooth=False))
+    assert torch.equal(found[0], found[1])
+
+
+def test_a_fine_mesh_in_several_views(monkeypatch: pytest.MonkeyPatch) -> None:
+    keys = record_keys(monkeypatch)
+    vertices, faces = bumpy_ball()
+    eyes = torch.nn.functional.normalize(torch.randn(5, 3, generator=torch.Generator().manual_seed(0)), dim=1)
+    compiled, plain = both(lambda: render_normals(vertices, faces, Camera.orthographic(1.2, eye=eyes), (200, 300)))
+    assert torch.equal(keys[0], keys[1])
+    for name in ("normal", "depth", "face", "barycentric"):
+        assert torch.equal(getattr(compiled, name), getattr(plain, name))
+
+
+def test_shadows_are_the_same() -> None:
+    vertices, faces = bumpy_ball()
+    seen = render_normals(vertices, faces, Camera.orthographic(1.2), (64, 64))
+    lights = spiral_lights(6, math.radians(70))
+    compiled, plain = both(lambda: cast_shadows(vertices, faces, seen, lights, resolution=256))
+    assert torch.equal(compiled, plain)
+    assert (compiled < 0.5).any()
+
+
+def test_gradients_are_the_same() -> None:
+    vertices, faces = bumpy_ball()
+
+    def gradient() -> Tensor:
+        moved = vertices.clone().requires_grad_()
+        render_normals(moved, faces, Camera.perspective(0.8), (48, 48)).normal[:, 0].sum().backward()
+        assert moved.grad is not None
+        return moved.grad
+
+    compiled, plain = both(gradient)
+    assert torch.equal(compiled, plain)
