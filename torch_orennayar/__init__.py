@@ -50,6 +50,7 @@ if TYPE_CHECKING:  # what type checkers and editors read; at run time `__getattr
     from .stereo.set_network import SetNetwork, load_network, make_tokens, save_network
     from .stereo.solver import photometric_stereo
     from .stereo.unknown_lights import FoundLights, find_lights
+    from .synthetic.augment import AugmentCaptures, RandomRelight
     from .synthetic.captures import SyntheticCaptures
     from .synthetic.collate import SyntheticBatch, collate_captures
     from .synthetic.images import SyntheticImages
@@ -150,6 +151,10 @@ _HOMES = {
         "FoundLights",
         "find_lights",
     ),
+    "synthetic.augment": (
+        "AugmentCaptures",
+        "RandomRelight",
+    ),
     "synthetic.captures": ("SyntheticCaptures",),
     "synthetic.collate": (
         "SyntheticBatch",
@@ -165,6 +170,7 @@ _MODULE_OF = {name: module for module, names in _HOMES.items() for name in names
 __all__ = [
     "MODELS",
     "AngularError",
+    "AugmentCaptures",
     "BatchReconstruction",
     "Camera",
     "Capture",
@@ -180,6 +186,7 @@ __all__ = [
     "ModelError",
     "NormalMap",
     "OrenNayar",
+    "RandomRelight",
     "RangeError",
     "Reconstruction",
     "SetNetwork",
