@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, TypeAlias
 
 import typer
 
 from ..core.errors import FileError, TorchOrenNayarError
+from ..core.optional import require
 from .options import Output, StereoModel
 
 COLUMNS = ("capture", "images", "model", "verdict", "seconds")
+RETRIES = 2
+"""How often a capture whose worker died is given to another; set by hand. Then it counts as failed."""
+
+Row: TypeAlias = tuple[str, ...]
 
 
 def batch(
@@ -20,33 +27,70 @@ def batch(
     model: Annotated[StereoModel, typer.Option(help="Reflectance model, or network; auto chooses.")] = "auto",
     report: Annotated[bool, typer.Option(" /--no-report", help="Write no figures and no report.html.")] = True,
     again: Annotated[bool, typer.Option("--again", help="Solve captures that have a result, too.")] = False,
+    scheduler: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler whose workers solve the captures.")
+    ] = None,
 ) -> None:
     """Many captures, each into a folder of its own name; one that fails is named and the rest go on."""
-    from .stereo import stereo
     from .tables import print_table
 
-    folders = _folders(captures)
-    rows, failed = [], 0
-    for folder, name in folders.items():
-        place = output / name
-        typer.echo(f"{folder}")
-        try:
-            if again or not (place / "result.json").is_file():
-                stereo(folder, place, model, report=report, animation=False)
-            else:
-                typer.echo("  has a result; --again solves it again")
-            rows.append(_row(place, name))
-        except (TorchOrenNayarError, MemoryError) as error:
-            failed += 1
-            typer.echo(f"  failed: {error}")
-            rows.append((name, "", "", "failed", ""))
-    print_table(COLUMNS, rows)
-    if failed:
+    folders = name_folders(captures)
+    solve = partial(solve_capture, model=model, report=report, again=again)
+    jobs = [(folder, (output / name).resolve()) for folder, name in folders.items()]
+    rows = []
+    for row in _on_cluster(scheduler, solve, jobs) if scheduler else (solve(*job) for job in jobs):
+        rows.append(row)
+        typer.echo(f"{row[0]}: {row[-1] if row[3] == 'failed' else row[3]}")
+    rows.sort()
+    print_table(COLUMNS, [(*row[:4], "" if row[3] == "failed" else row[4]) for row in rows])
+    if any(row[3] == "failed" for row in rows):
         raise typer.Exit(1)
 
 
-def _folders(captures: list[Path]) -> dict[Path, str]:
-    """Every folder once, and the name of its results: its own, with that of its parent where two are alike.
+def solve_capture(folder: Path, place: Path, *, model: StereoModel, report: bool, again: bool) -> Row:
+    """Solve one capture unless it has a result; its row of the table, of a failure with the reason at its end."""
+    from .stereo import stereo
+
+    try:
+        last = "report.html" if report else "result.json"  # what is written last
+        if again or not (place / last).is_file():
+            stereo(folder, place, model, report=report, animation=False)
+        else:
+            typer.echo(f"{place.name} has a result; --again solves it again")
+        return _row(place)
+    except (TorchOrenNayarError, MemoryError) as error:
+        return _failed(place, error)
+
+
+def _on_cluster(address: str, solve: Callable[..., Row], jobs: Iterable[tuple[Path, Path]]) -> Iterator[Row]:
+    """Rows in the order in which workers finish; results are written by the workers, into a folder that all share.
+
+    A capture whose worker dies is given to another one; one that its workers die of, `RETRIES` times, has failed.
+
+    Raises:
+        FileError: no scheduler answers.
+    """
+    require("distributed")
+    from distributed import Client, as_completed
+
+    try:
+        client = Client(address, timeout=10)
+    except (OSError, TimeoutError, ValueError) as error:
+        raise FileError(
+            "--scheduler", expected="the address of a Dask scheduler", got=f"{address}, {error}",
+            mend="start one with `dask scheduler`, workers with `dask worker ADDRESS`, and give tcp://HOST:8786",
+        ) from error  # fmt: skip
+    with client:
+        places = {
+            client.submit(solve, *job, pure=False, retries=RETRIES, key=f"solve-{job[1]}"): job[1] for job in jobs
+        }
+        for future in as_completed(places):
+            trouble = future.exception()
+            yield future.result() if trouble is None else _failed(places[future], trouble)
+
+
+def name_folders(captures: list[Path]) -> dict[Path, str]:
+    """Every folder once, and the name of its results: as many of the last parts of its path as tell it from the others.
 
     Raises:
         FileError: a name that is neither folder nor list, or no folder at all.
@@ -64,22 +108,27 @@ def _folders(captures: list[Path]) -> dict[Path, str]:
             )
     if not found:
         raise FileError("captures", expected="at least one folder", got="an empty list", mend="name folders")
-    names: dict[Path, str] = {}
-    for folder in dict.fromkeys(f.resolve() for f in found):
-        name = folder.stem
-        names[folder] = f"{folder.parent.name}-{name}" if name in names.values() else name
-        while list(names.values()).count(names[folder]) > 1:
-            names[folder] += "-2"
+    folders = list(dict.fromkeys(f.resolve() for f in found))
+    parts = {folder: (*folder.parts[1:-1], folder.stem) for folder in folders}
+
+    def name(folder: Path, count: int) -> str:
+        return "-".join(parts[folder][-count:])
+
+    names = {}
+    for folder in folders:
+        others = [other for other in folders if other != folder]
+        counts = range(1, len(parts[folder]) + 1)
+        enough = (n for n in counts if all(name(other, n) != name(folder, n) for other in others))
+        names[folder] = name(folder, next(enough, len(parts[folder])))
     return names
 
 
-def _row(place: Path, name: str) -> tuple[str, ...]:
+def _row(place: Path) -> Row:
     numbers = json.loads((place / "result.json").read_text(encoding="utf-8"))
     seconds = numbers["seconds"]
-    return (
-        name,
-        str(numbers["images"]),
-        numbers["model"],
-        numbers["verdict"],
-        "" if seconds is None else f"{seconds:.1f}",
-    )
+    took = "" if seconds is None else f"{seconds:.1f}"
+    return place.name, str(numbers["images"]), numbers["model"], numbers["verdict"], took
+
+
+def _failed(place: Path, error: BaseException) -> Row:
+    return place.name, "", "", "failed", f"failed: {' '.join(str(error).split())}"

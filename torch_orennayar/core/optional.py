@@ -12,6 +12,7 @@ PACKAGES: dict[str, tuple[str, str]] = {
     "OpenImageIO": ("OpenImageIO", ""),
     "PIL": ("pillow", ""),
     "cv2": ("opencv-contrib-python-headless", ""),
+    "distributed": ("distributed", "cluster"),
     "jinja2": ("jinja2", "cli"),
     "kornia": ("kornia", ""),
     "mapbox_earcut": ("mapbox_earcut", ""),
