@@ -11,7 +11,6 @@ from typing import Annotated, TypeAlias
 import typer
 
 from ..core.errors import FileError, TorchOrenNayarError
-from ..core.optional import require
 from .options import Output, StereoModel
 
 COLUMNS = ("capture", "images", "model", "verdict", "seconds")
@@ -70,6 +69,8 @@ def _on_cluster(address: str, solve: Callable[..., Row], jobs: Iterable[tuple[Pa
     Raises:
         FileError: no scheduler answers.
     """
+    from ..core.optional import require  # imports torch, which `orennayar --help` need not wait for
+
     require("distributed")
     from distributed import Client, as_completed
 
