@@ -56,6 +56,7 @@ if TYPE_CHECKING:  # what type checkers and editors read; at run time `__getattr
     from .synthetic.images import SyntheticImages
     from .synthetic.ingredients import Ingredients
     from .synthetic.pixels import SyntheticPixels
+    from .synthetic.shards import decode_shard, write_shards
 
 _HOMES = {
     "core.errors": (
@@ -163,6 +164,10 @@ _HOMES = {
     "synthetic.images": ("SyntheticImages",),
     "synthetic.ingredients": ("Ingredients",),
     "synthetic.pixels": ("SyntheticPixels",),
+    "synthetic.shards": (
+        "decode_shard",
+        "write_shards",
+    ),
 }
 """The module that defines each public name."""
 _MODULE_OF = {name: module for module, names in _HOMES.items() for name in names}
@@ -204,6 +209,7 @@ __all__ = [
     "cast_shadows",
     "collate_captures",
     "decode_normals",
+    "decode_shard",
     "depth_to_normals",
     "directional_albedo",
     "encode_normals",
@@ -236,6 +242,7 @@ __all__ = [
     "srgb_to_linear",
     "swap_opencv_frame",
     "vertex_normals",
+    "write_shards",
 ]
 
 

@@ -21,6 +21,7 @@ from .options import join_vectors
 from .render import render
 from .shape import shape
 from .stereo import stereo
+from .synthesize import synthesize
 
 COMMANDS: tuple[tuple[Callable[..., None], str], ...] = (
     (demo, "demo --size 128 -o out"),
@@ -28,6 +29,7 @@ COMMANDS: tuple[tuple[Callable[..., None], str], ...] = (
     (stereo, "stereo photographs --mask mask.png -o out"),
     (inspect, "inspect photographs -o out"),
     (batch, "batch monday/* tuesday/* -o results"),
+    (synthesize, "synthesize -n 100000 --workers 8 -o shards"),
     (shape, "shape photo.png --light 0.3,0.4,0.86 --mask mask.png -o out"),
     (calibrate, "calibrate chrome ball --circle 310,245,120 -o photographs"),
     (export, "export renderer.onnx --graph renderer --size 256 --elevation 20"),

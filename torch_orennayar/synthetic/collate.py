@@ -62,7 +62,7 @@ def collate_captures(samples: Sequence[SyntheticImages]) -> SyntheticBatch:
     counts = torch.tensor([len(sample["lights"]) for sample in samples], device=samples[0]["lights"].device)
     most = int(counts.max())
     batch: dict[str, Tensor] = {}
-    for name in samples[0]:
+    for name in SyntheticImages.__annotations__:  # a reader of files may add names of its own
         values = [cast("Tensor", sample[name]) for sample in samples]  # type: ignore[literal-required]
         if name in PER_LIGHT:
             values = [_pad(value, most, PER_LIGHT[name]) for value in values]
