@@ -33,6 +33,7 @@ if TYPE_CHECKING:  # what type checkers and editors read; at run time `__getattr
     from .geometry.metrics import AngularError, angular_error
     from .io.capture import Capture, load_capture
     from .io.images import decode_normals, encode_normals
+    from .io.shards import decode_shard, write_shards
     from .io.srgb import linear_to_srgb, srgb_to_linear
     from .reconstruction import BatchReconstruction, Reconstruction
     from .reflectance.model_choice import ModelChoice, simplest_model
@@ -56,7 +57,6 @@ if TYPE_CHECKING:  # what type checkers and editors read; at run time `__getattr
     from .synthetic.images import SyntheticImages
     from .synthetic.ingredients import Ingredients
     from .synthetic.pixels import SyntheticPixels
-    from .synthetic.shards import decode_shard, write_shards
 
 _HOMES = {
     "core.errors": (
@@ -96,6 +96,10 @@ _HOMES = {
     "io.images": (
         "decode_normals",
         "encode_normals",
+    ),
+    "io.shards": (
+        "decode_shard",
+        "write_shards",
     ),
     "io.srgb": (
         "linear_to_srgb",
@@ -164,10 +168,6 @@ _HOMES = {
     "synthetic.images": ("SyntheticImages",),
     "synthetic.ingredients": ("Ingredients",),
     "synthetic.pixels": ("SyntheticPixels",),
-    "synthetic.shards": (
-        "decode_shard",
-        "write_shards",
-    ),
 }
 """The module that defines each public name."""
 _MODULE_OF = {name: module for module, names in _HOMES.items() for name in names}

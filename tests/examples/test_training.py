@@ -146,3 +146,11 @@ def test_groups_that_processes_cannot_share(tmp_path: Path, monkeypatch: pytest.
     monkeypatch.setattr(example, "processes", lambda device: Two())
     with pytest.raises(SystemExit, match="cannot be shared"):
         example.train(options)
+
+
+@pytest.mark.slow
+def test_train_normals_improves_on_least_squares(tmp_path: Path) -> None:
+    errors = load("train_normals").main(["--steps", "60", "--workers", "0", "-o", str(tmp_path)])
+    assert errors[-1] < errors[0] - 0.2
+    assert (tmp_path / "curve.csv").read_text().startswith("0,")
+    assert (tmp_path / "normals.png").stat().st_size > 1000

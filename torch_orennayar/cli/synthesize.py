@@ -21,8 +21,8 @@ def synthesize(
     seed: Seed = 0,
 ) -> None:
     """Synthetic captures with their truth as shards in the format of WebDataset; an interrupted run goes on."""
+    from ..io.shards import write_shards
     from ..synthetic.captures import SyntheticCaptures
-    from ..synthetic.shards import write_shards
 
     check_output(output)
     captures = SyntheticCaptures("images", seed=seed, size=(size, size), lights=(lights, lights))

@@ -48,6 +48,9 @@ class SyntheticCaptures(IterableDataset[Sample]):
     a random camera, with everything that the pictures follow from. Light is linear; directions are unit vectors in the
     camera frame.
 
+    Cast shadows and light between parts take more time than all the rest of a picture; what each ingredient costs is
+    measured in scripts/benchmarks/README.md.
+
     Workers of a `DataLoader` and ranks of a process group share the indices among themselves; the group is asked when
     iteration begins, so that captures may be made before it. Where a trainer shards iterable datasets itself, as
     Hugging Face's accelerate does, pass ``rank=0, world=1``. Batches of ``"images"`` whose number of lights varies need

@@ -236,6 +236,23 @@ def large_captures() -> str:
     return f"{sources(*found.values())}\n\n{table(header, rows)}"
 
 
+def batch_cost() -> str:
+    """What a capture costs in a batch, and what many cost on many machines."""
+    costs, scale = load_section("batch_cost", "captures"), load_section("batch_cost", "scale")
+    tasks = load_section("batch_cost", "scheduler").results["tasks per second"]
+    measured = [[name, *(short(value, 3) for value in cost.values())] for name, cost in costs.results.items()]
+    head = ["capture, `lambert`, no report, one thread", *next(iter(costs.results.values()))]
+    found = scale.results
+    keys = list(next(iter(found["rows"].values())))
+    rows = [[name, *(short(row[key]) for key in keys)] for name, row in found["rows"].items()]
+    sentence = (
+        f"Calculated from this: {found['captures']:,} captures on {found['machines']} machines of {found['workers']} "
+        f"workers each. A scheduler hands out {short(tasks, 2)} tasks a second here; where the share reaches 1, it is "
+        "the limit, and so is a file system that reads or writes less."
+    )
+    return f"{costs.source}\n\n{table(head, measured)}\n\n{sentence}\n\n{table(['each like', *keys], rows)}"
+
+
 def synthetic_speed() -> str:
     """Samples and observations per second."""
     section = load_section("measure_synthetic", "speed")
@@ -247,6 +264,20 @@ def synthetic_speed() -> str:
     header = ["`SyntheticCaptures`", "samples per second", "million observations per second"]
     sentence = f"One rendered scene under {scene['lights']} lights takes {short(scene['seconds'])} s."
     return f"{section.source}\n\n{table(header, rows)}\n\n{sentence}"
+
+
+def synthetic_switches() -> str:
+    """What each ingredient of pictures costs, and how long a training step waits."""
+    section, waited = load_section("measure_synthetic", "switches"), load_section("measure_synthetic", "waiting")
+    plain = section.results["plain"]
+    rows = [[f"`{name}`", f"{cost:+.1f}"] for name, cost in section.results["more"].items()]
+    sentence = f"Rough surfaces alone, 64 x 64 pixels and 4 lights, take {short(plain)} ms; each ingredient adds:"
+    shares = ", ".join(f"{name} {100 * share:.0f} %" for name, share in waited.results["shares"].items())
+    step = (
+        f"A training step of {1e3 * waited.results['step']:.0f} ms on batches of 8, with {waited.results['workers']} "
+        f"workers, waits for this share of its time: {shares}."
+    )
+    return f"{section.source}\n\n{sentence}\n\n{table(['ingredient', 'ms'], rows)}\n\n{step}"
 
 
 def training_traffic() -> str:

@@ -25,8 +25,8 @@ from torch.utils.data import DataLoader, Dataset
 from ..core.errors import FileError, RangeError
 from ..core.files import atomic_path
 from ..core.progress import track
-from .captures import SyntheticCaptures
-from .images import SyntheticImages
+from ..synthetic.captures import SyntheticCaptures
+from ..synthetic.images import SyntheticImages
 
 LISTED = "captures.json"
 """Name of the file that says what a folder of shards is made of."""
