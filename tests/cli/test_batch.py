@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.support.command_line import Run
+from torch_orennayar.cli.batch import name_folders
 
 
 def test_a_folder_is_inspected_before_it_is_solved(orennayar: Run, capture_folder: Path, tmp_path: Path) -> None:
@@ -43,7 +44,7 @@ def test_many_captures_go_on_after_a_bad_one_and_are_not_solved_twice(
     assert result.status == 1  # one failed
     assert "failed" in result.out
     assert "expected photographs" in result.out
-    first, second = (tmp_path / "out" / name / "result.json" for name in ("monday-vase", "tuesday-vase"))
+    first, second = (tmp_path / "out" / name / "result.json" for name in ("monday--vase", "tuesday--vase"))
     assert json.loads(first.read_text())["model"] == json.loads(second.read_text())["model"] == "lambert"
     before = first.stat().st_mtime_ns
     (tmp_path / "list.txt").write_text("tuesday/vase\n")
@@ -59,3 +60,27 @@ def test_a_batch_of_nothing_is_refused(orennayar: Run, tmp_path: Path) -> None:
     assert "at least one folder" in result.err
     result = orennayar("batch", tmp_path / "nothing", "-o", tmp_path / "out")
     assert "a folder, or a file that lists folders" in result.err
+
+
+def test_results_of_different_captures_have_different_names(tmp_path: Path) -> None:
+    """Also where folders have dots or are called like the results of others, and in any order."""
+    places = ["monday/vase", "tuesday/vase", "monday-vase", "monday/jug.1", "monday/jug.2", "cup"]
+    for place in places:
+        (tmp_path / place).mkdir(parents=True)
+    (tmp_path / "cup.lp").touch()
+    folders = [tmp_path / place for place in [*places, "cup.lp"]]
+    names = name_folders(folders)
+    assert len(set(names.values())) == len(folders)
+    assert names == name_folders(folders[::-1])
+    assert {names[f.resolve()] for f in folders[3:5]} == {"jug.1", "jug.2"}
+
+
+def test_results_of_another_capture_are_not_taken_for_its_own(
+    orennayar: Run, capture_folder: Path, tmp_path: Path
+) -> None:
+    for day in ("monday", "tuesday"):
+        (tmp_path / day / "vase").mkdir(parents=True)
+    assert "expected photographs" in orennayar("batch", tmp_path / "monday" / "vase", "-o", tmp_path / "out").out
+    result = orennayar("batch", tmp_path / "tuesday" / "vase", "-o", tmp_path / "out")
+    assert result.status == 1
+    assert "use another -o" in result.err

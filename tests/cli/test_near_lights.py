@@ -42,6 +42,7 @@ def test_positions_from_a_file(orennayar: Run, meshes: dict[str, tuple[Tensor, T
         (("--camera-distance", "400"), "leave --camera-distance and --fov out"),
         (("--positions", "lamps.csv"), "measure the distance"),
         (("--unit", "cm"), "leave --unit out"),
+        (("--positions", "lamps.csv", "--crop", "0,0,9,9"), "choose a part with --mask"),
         (("--pixel-size", "-1"), "millimetres divided by its pixels"),
         (("--positions", "lamps.csv", "--pixel-size", "0.2"), "follows from --camera-distance"),
         (("--positions", "lamps.csv", "--camera-distance", "400", "--fov", "35", "--refine-lights"), "neither"),

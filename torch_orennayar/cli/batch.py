@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from pathlib import Path
@@ -11,9 +12,12 @@ from typing import Annotated, TypeAlias
 import typer
 
 from ..core.errors import FileError, TorchOrenNayarError
+from ..core.files import atomic_path
 from .options import Output, StereoModel
 
 COLUMNS = ("capture", "images", "model", "verdict", "seconds")
+LISTED = "captures.json"
+"""Name of the file, among the results, that says which folder each of them is of."""
 RETRIES = 2
 """How often a capture whose worker died is given to another; set by hand. Then it counts as failed."""
 
@@ -34,6 +38,7 @@ def batch(
     from .tables import print_table
 
     folders = name_folders(captures)
+    _claim(output, folders)
     solve = partial(solve_capture, model=model, report=report, again=again)
     jobs = [(folder, (output / name).resolve()) for folder, name in folders.items()]
     rows = []
@@ -44,6 +49,22 @@ def batch(
     print_table(COLUMNS, [(*row[:4], "" if row[3] == "failed" else row[4]) for row in rows])
     if any(row[3] == "failed" for row in rows):
         raise typer.Exit(1)
+
+
+def _claim(output: Path, folders: dict[Path, str]) -> None:
+    """Write down whose results the folders of ``output`` hold, so that those of others are not taken for them.
+
+    Raises:
+        FileError: one of them holds the results of another capture.
+    """
+    listed = output / LISTED
+    known: dict[str, str] = json.loads(listed.read_text(encoding="utf-8")) if listed.is_file() else {}
+    for folder, name in folders.items():
+        if known.setdefault(name, str(folder)) != str(folder):
+            got = f"{name}, those of {known[name]}"
+            raise FileError(str(output), expected=f"no results of others than {folder}", got=got, mend="use another -o")
+    with atomic_path(listed) as temporary:
+        temporary.write_text(json.dumps(known, indent=1) + "\n", encoding="utf-8")
 
 
 def solve_capture(folder: Path, place: Path, *, model: StereoModel, report: bool, again: bool) -> Row:
@@ -109,19 +130,12 @@ def name_folders(captures: list[Path]) -> dict[Path, str]:
             )
     if not found:
         raise FileError("captures", expected="at least one folder", got="an empty list", mend="name folders")
-    folders = list(dict.fromkeys(f.resolve() for f in found))
-    parts = {folder: (*folder.parts[1:-1], folder.stem) for folder in folders}
-
-    def name(folder: Path, count: int) -> str:
-        return "-".join(parts[folder][-count:])
-
-    names = {}
-    for folder in folders:
-        others = [other for other in folders if other != folder]
-        counts = range(1, len(parts[folder]) + 1)
-        enough = (n for n in counts if all(name(other, n) != name(folder, n) for other in others))
-        names[folder] = name(folder, next(enough, len(parts[folder])))
-    return names
+    possible = {}
+    for folder in dict.fromkeys(f.resolve() for f in found):
+        parts = folder.parts[1:]
+        possible[folder] = ["--".join(parts[-count:]) for count in range(1, len(parts) + 1)]
+    uses = Counter(name for names in possible.values() for name in names)
+    return {folder: next(name for name in names if uses[name] == 1) for folder, names in possible.items()}
 
 
 def _row(place: Path) -> Row:

@@ -75,7 +75,7 @@ def stereo(
     if least_squares and model not in ("auto", "lambert"):
         raise RangeError("--least-squares", expected="no --model, or lambert", got=model, mend="leave one of them out")
     _check_size(positions, unit, pixel_size)
-    _check_near(positions, distance, fov, other=refine_lights or least_squares)
+    _check_near(positions, distance, fov, crop, other=refine_lights or least_squares)
     check_output(output, RECONSTRUCTION_FILES)
     begun = time.perf_counter()
     loaded = load_from_options(
@@ -137,8 +137,15 @@ def _check_size(positions: Path | None, unit: str | None, pixel_size: float | No
         )  # fmt: skip
 
 
-def _check_near(positions: Path | None, distance: float | None, fov: float | None, *, other: bool) -> None:
+def _check_near(
+    positions: Path | None, distance: float | None, fov: float | None, crop: str | None, *, other: bool
+) -> None:
     """Check that the options of near lights come together, and without those of distant ones."""
+    if positions is not None and crop is not None:
+        raise RangeError(
+            "--crop", expected="whole photographs with --positions", got=crop,
+            mend="leave --crop out, since the camera's axis meets the middle; choose a part with --mask",
+        )  # fmt: skip
     if positions is None and (distance, fov) != (None, None):
         raise RangeError(
             "--positions", expected="a file of positions", got="none", mend="leave --camera-distance and --fov out"
