@@ -102,6 +102,40 @@ def test_resampled_captures_render_again_nearly(augmentation: K.GeometricAugment
     assert torch.allclose(moved["view"].norm(dim=1), torch.ones_like(length[:, 0]), atol=1e-4)
 
 
+@pytest.mark.parametrize(
+    "padding",
+    [K.PadTo((60, 64), pad_value=1), K.PadTo((60, 64), pad_mode="reflect"),
+     K.RandomCrop((60, 64), padding=12, padding_mode="reflect", p=1.0),
+     K.RandomCrop((60, 64), pad_if_needed=True, fill=1, p=1.0),
+     K.RandomAffine(0.0, translate=(0.4, 0.4), padding_mode="reflection", p=1.0),
+     K.RandomAffine(0.0, translate=(0.4, 0.4), padding_mode="border", p=1.0)],
+    ids=["filled", "mirrored", "cropped, mirrored", "cropped, filled", "moved, mirrored", "moved, repeated"],
+)  # fmt: skip
+def test_padding_is_no_part_of_the_object(padding: K.GeometricAugmentationBase2D) -> None:
+    torch.manual_seed(2)
+    moved = AugmentCaptures(padding)({**batch(), "mask": torch.ones_like(batch()["mask"])})
+    assert 0 < moved["mask"].sum() <= batch()["mask"].numel()
+    assert (moved["normal"] * ~moved["mask"] == 0).all()
+    assert (moved["images"] * ~moved["mask"][:, None] == 0).all()
+
+
+def test_masks_of_any_type_and_maps_of_float64() -> None:
+    for mask in (batch()["mask"], 255 * batch()["mask"].byte()):
+        torch.manual_seed(0)
+        moved = AugmentCaptures(K.RandomRotation(40.0, p=1.0))({"mask": mask})["mask"]
+        assert moved.sum() <= batch()["mask"].sum()
+    depth = batch()["depth"].double() + 1e-12
+    assert torch.equal(AugmentCaptures(K.RandomHorizontalFlip(p=1.0))({"depth": depth})["depth"], depth.flip(3))
+
+
+def test_maps_of_one_pixel_stay_and_sizes_may_be_rounded() -> None:
+    relit = RandomRelight(2)({"normal": batch()["normal"], "albedo": batch()["albedo"]})
+    moved = AugmentCaptures(K.RandomHorizontalFlip(p=1.0))(relit)
+    assert torch.equal(moved["roughness"], relit["roughness"])
+    assert torch.equal(moved["lights"][..., 0], -relit["lights"][..., 0])
+    assert AugmentCaptures(K.Resize((20, 24)))(batch())["normal"].shape == (6, 3, 20, 24)
+
+
 def test_gradients_pass() -> None:
     normal = batch()["normal"].clone().requires_grad_()
     AugmentCaptures(K.RandomRotation(20.0, p=1.0))({"normal": normal})["normal"].square().sum().backward()
@@ -123,7 +157,16 @@ def test_mistakes() -> None:
         AugmentCaptures(K.ColorJitter(0.1))
     with pytest.raises(ShapeError, match="one size"):
         AugmentCaptures(K.RandomHorizontalFlip())({"normal": torch.zeros(1, 3, 4, 4), "mask": torch.ones(1, 1, 5, 5)})
-    for options in ({"lights": 0}, {"widest": 60.0}, {"roughness": (1.0, 0.5)}):
+    flip = AugmentCaptures(K.RandomHorizontalFlip(p=1.0))
+    single = {"normal": torch.zeros(3, 4, 4)}
+    for wrong in (single, {"normal": torch.zeros(2, 3, 4, 4), "lights": torch.zeros(2, 3)}):
+        with pytest.raises(ShapeError, match="collate_captures"):
+            flip(wrong)
+    with pytest.raises(ShapeError, match="add one"):
+        flip({"lights": torch.zeros(2, 1, 3)})
+    with pytest.raises(ShapeError, match="8-bit"):
+        flip({"images": torch.zeros(2, 1, 3, 4, 4, dtype=torch.uint8)})
+    for options in ({"lights": 0}, {"lights": 2.5}, {"widest": 60.0}, {"roughness": (1.0, 0.5)}, {"roughness": 0.5}):
         with pytest.raises(RangeError, match=next(iter(options))):
             RandomRelight(**options)
     with pytest.raises(ShapeError, match="normal"):

@@ -20,6 +20,11 @@ Batch = TypeVar("Batch", bound=Mapping[str, Any])
 
 INSIDE = 0.999
 """Share of a resampled pixel that must lie inside a mask for it to be inside: a little below 1, for rounding."""
+UNEQUAL = 0.02
+"""Largest relative difference of scales in two directions that counts as rounding of a picture's size; set by hand."""
+STRETCHED = 0.25
+"""Relative error of the distance between neighbouring pixels from which they are taken for padding: repeated pixels and
+constants have 1, mirrored ones 2; set by hand."""
 MAPS = (
     "images", "mask", "normal", "view", "depth", "albedo", "roughness", "reached", "between", "remainder", "valid",
 )  # fmt: skip
@@ -48,7 +53,7 @@ class AugmentCaptures(nn.Module):
 
     Where a picture is turned or mirrored, normals, views and lights turn too, so that shading still gives the pictures.
     Depth keeps its unit, so where a picture is scaled its pixels are of another size. Pixels that are made of some
-    outside the mask leave it.
+    outside the mask leave it, and padding of every kind is 0 and outside.
 
     kornia's own ``AugmentationSequential`` moves pictures and masks, but knows no vectors in a picture: give its
     members here instead. Photometric augmentations belong on ``batch["images"]`` alone.
@@ -89,65 +94,118 @@ class AugmentCaptures(nn.Module):
         """Augment a batch of captures.
 
         Args:
-            batch: as of `collate_captures`, or any mapping with some of its names: maps (B, ..., H, W) and lights
-                (B, K, 3); what has other names is passed on.
+            batch: as of `collate_captures`, or any mapping with some of its names: maps (B, ..., H, W), floating-point
+                or masks, and lights (B, K, 3); maps of one pixel and what has other names are passed on.
 
         Returns:
             A new dictionary; differentiable in all floating-point maps.
 
         Raises:
-            ShapeError: no map, or maps of several sizes.
+            ShapeError: no map, maps of several sizes or of another type, or a single sample.
             RangeError: a transform that distorts angles: normals cannot follow it.
         """
-        maps = {name: batch[name] for name in MAPS if name in batch}
-        sizes = {tuple(value.shape[-2:]) for value in maps.values()}
-        if len(sizes) != 1:
-            raise ShapeError(
-                "batch", expected=f"maps of one size, {MAPS}", got=str(sorted(sizes)), mend="crop them alike"
-            )
-        size = sizes.pop()
+        maps = _check_maps(batch)
         shapes = {name: value.shape[1:-2] for name, value in maps.items()}
-        moved = torch.cat([value.float().reshape(len(value), -1, *size) for value in maps.values()], 1)
-        turn = torch.eye(2, device=moved.device).expand(len(moved), 2, 2)
+        height, width = next(iter(maps.values())).shape[-2:]
+        dtype = torch.float64 if torch.float64 in {value.dtype for value in maps.values()} else torch.float32
+        flat = [(value != 0 if name in MASKS else value).to(dtype).flatten(1, -3) for name, value in maps.items()]
+        column, row = torch.arange(width).to(flat[0]), torch.arange(height).to(flat[0])
+        place = torch.stack((column.expand(height, width), row[:, None].expand(height, width)))
+        moved = torch.cat((*flat, place.expand(len(flat[0]), -1, -1, -1)), 1)
+        move = torch.eye(2).to(moved).expand(len(moved), 2, 2)
         for augmentation in self.augmentations:
             moved = augmentation(moved)
-            turn = _turn(cast("Tensor", augmentation.transform_matrix)) @ turn
-        parts = moved.split([math.prod(shape) for shape in shapes.values()], 1)
+            move = _linear(cast("Tensor", augmentation.transform_matrix)).to(moved) @ move
+        *parts, place = moved.split([*(math.prod(shape) for shape in shapes.values()), 2], 1)
+        seen = _seen(place, move)
+        turn = _turn(move)
         found: dict[str, Any] = dict(batch)
         for (name, shape), part in zip(shapes.items(), parts, strict=True):
-            value = part.unflatten(1, tuple(shape))
+            value = (part * seen).unflatten(1, tuple(shape))
             found[name] = value > INSIDE if name in MASKS else value.to(maps[name].dtype)
         for name in VECTORS:
             if name in found:
                 found[name] = _turn_vectors(found[name], turn)
-        if "normal" in found:
+        if "normal" in maps:
             found["normal"] = _unit(found["normal"])
-        if "view" in found:  # where nothing was seen before, the camera's axis
+        if "view" in maps:  # where nothing was seen before, the camera's axis
             beyond = found["view"].square().sum(1, keepdim=True) < 0.25
             axis = found["view"].new_tensor((0.0, 0.0, 1.0)).reshape(1, 3, 1, 1)
             found["view"] = torch.where(beyond, axis, _unit(found["view"]))
-        if "mask" in found:
-            for name in {"normal", "depth", "albedo", "roughness"} & found.keys():
+        if "mask" in maps:
+            for name in {"normal", "depth", "albedo", "roughness"} & maps.keys():
                 found[name] = found[name] * found["mask"]
         return cast("Batch", found)
 
 
-def _turn(matrix: Tensor) -> Tensor:
-    """How x and y of vectors in the camera frame turn (B, 2, 2) with pixels that move by ``matrix`` (B, 3, 3).
+def _check_maps(batch: Mapping[str, Any]) -> dict[str, Tensor]:
+    """The maps of a batch that are larger than a pixel.
 
     Raises:
-        RangeError: a matrix that is no rotation, reflection, scaling and translation.
+        ShapeError: none, a single sample, maps that differ in size or number, or of another type.
+    """
+    present = {name: batch[name] for name in MAPS if name in batch}
+    maps = {name: value for name, value in present.items() if tuple(value.shape[-2:]) != (1, 1)}
+    if not maps:
+        raise ShapeError("batch", expected=f"a map, one of {', '.join(MAPS)}", got=", ".join(batch), mend="add one")
+    flat = [name for name, value in maps.items() if value.ndim < 4]
+    flat += [name for name in ("lights", "true_lights") if name in batch and batch[name].ndim != 3]
+    if flat:
+        got = f"{flat[0]} {tuple(batch[flat[0]].shape)}"
+        mend = "give a batch: collate_captures([sample])"
+        raise ShapeError("batch", expected="maps (B, ..., H, W), lights (B, K, 3)", got=got, mend=mend)
+    kinds = {name: (len(value), *value.shape[-2:]) for name, value in maps.items()}
+    if len(set(kinds.values())) > 1 or not kinds[next(iter(kinds))][0]:
+        raise ShapeError("batch", expected="maps of one size (B, ..., H, W)", got=str(kinds), mend="crop them alike")
+    for name, value in maps.items():
+        if name not in MASKS and not value.is_floating_point():
+            mend = "divide 8-bit pictures by 255 and undo their sRGB curve (srgb_to_linear)"
+            raise ShapeError("batch", expected="floating-point maps", got=f"{name} of {value.dtype}", mend=mend)
+    return maps
+
+
+def _linear(matrix: Tensor) -> Tensor:
+    """How pixels move, (B, 2, 2), without translation.
+
+    Raises:
+        RangeError: a matrix (B, 3, 3) that is no rotation, reflection, scaling and translation.
     """
     linear = matrix[:, :2, :2]
-    linear = linear / torch.linalg.det(linear).abs().clamp_min(1e-12).sqrt()[:, None, None]
-    square = linear @ linear.mT - torch.eye(2).to(linear)
-    if not bool((square.abs() < 1e-3).all() and (matrix[:, 2, :2].abs() < 1e-6).all()):
+    unit = linear / torch.linalg.det(linear).abs().clamp_min(1e-12).sqrt()[:, None, None]
+    square = unit @ unit.mT - torch.eye(2).to(unit)
+    if not bool((square.abs() < UNEQUAL).all() and (matrix[:, 2, :2].abs() < 1e-6).all()):
         raise RangeError(
             "augmentations",
             expected="transforms that keep angles",
-            got="shear, perspective or unequal scales",
-            mend="leave shear out, or give ratio=(1, 1)",
+            got="shear, perspective or scales that differ by more than 2 %",
+            mend="leave shear out, keep the ratio of the sides, or give ratio=(1, 1)",
         )
+    return linear
+
+
+def _seen(place: Tensor, move: Tensor) -> Tensor:
+    """Where a picture shows pixels and not padding, (B, 1, H, W) of 0 and 1.
+
+    Args:
+        place: (B, 2, H, W) column and row that each pixel came from, padded as the pictures are.
+        move: (B, 2, 2) how pixels moved: neighbours must lie as far apart as its inverse says.
+    """
+    inverse = torch.linalg.inv(move)
+    allowed = STRETCHED * inverse.flatten(1).norm(dim=1)[:, None, None] / math.sqrt(2)
+    seen = torch.ones_like(place[:, 0], dtype=torch.bool)
+    for axis in (0, 1):
+        if place.shape[3 - axis] < 2:
+            continue
+        right = (place.diff(dim=3 - axis) - inverse[:, :, axis, None, None]).norm(dim=1) < allowed
+        before, after = ((0, 1), (1, 0)) if axis == 0 else ((0, 0, 0, 1), (0, 0, 1, 0))
+        seen = seen & (nn.functional.pad(right, before) | nn.functional.pad(right, after))
+    return seen[:, None].to(place)
+
+
+def _turn(linear: Tensor) -> Tensor:
+    """How x and y of vectors in the camera frame turn, (B, 2, 2), with pixels that move by ``linear``."""
+    u, _, v = torch.linalg.svd(linear)
+    linear = u @ v  # without scale
     down = linear.new_tensor((1.0, -1.0))  # rows count downward, y upward
     turned: Tensor = down[:, None] * linear * down
     return turned
@@ -199,11 +257,11 @@ class RandomRelight(nn.Module):
         generator: torch.Generator | None = None,
     ) -> None:
         super().__init__()
-        if lights < 1:
-            raise RangeError("lights", expected="1 or more", got=str(lights), mend="ask for one")
+        if not _is_count(lights):
+            raise RangeError("lights", expected="a whole number, 1 or more", got=repr(lights), mend="ask for one")
         if not 0 < widest <= math.pi / 2:
             raise RangeError("widest", expected="radians in (0, pi/2]", got=str(widest), mend="use math.radians")
-        if not 0 <= roughness[0] <= roughness[1] <= math.pi / 2:
+        if not _is_pair(roughness) or not 0 <= roughness[0] <= roughness[1] <= math.pi / 2:
             mend = "use math.radians, lower end first"
             raise RangeError("roughness", expected="radians, 0 to pi/2", got=str(roughness), mend=mend)
         self.lights, self.widest, self.roughness, self.generator = lights, widest, roughness, generator
@@ -248,3 +306,11 @@ class RandomRelight(nn.Module):
     def _device(self, like: Tensor) -> torch.device:
         """Where random numbers are drawn."""
         return like.device if self.generator is None else self.generator.device
+
+
+def _is_count(value: object) -> bool:
+    return isinstance(value, int) and value >= 1
+
+
+def _is_pair(value: object) -> bool:
+    return isinstance(value, tuple) and len(value) == 2 and all(isinstance(n, (int, float)) for n in value)

@@ -100,7 +100,7 @@ class Ingredients:
                 raise RangeError(name, expected="a share from 0 to 1", got=repr(value), mend="correct it")
 
 
-_SIZES = {"roughest": math.pi / 2, "light_error": math.pi / 2, "shadows": math.inf, "intensity_error": math.inf}
+_SIZES = {"roughest": math.pi / 2, "light_error": math.pi / 2, "shadows": math.inf, "intensity_error": 1.0}
 """Largest values of the ingredients that are no share."""
 
 
