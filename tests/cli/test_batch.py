@@ -84,3 +84,19 @@ def test_results_of_another_capture_are_not_taken_for_its_own(
     result = orennayar("batch", tmp_path / "tuesday" / "vase", "-o", tmp_path / "out")
     assert result.status == 1
     assert "use another -o" in result.err
+
+
+def test_damaged_files_are_named_and_torn_results_made_again(
+    orennayar: Run, capture_folder: Path, tmp_path: Path
+) -> None:
+    command = ("batch", capture_folder, "-o", tmp_path / "out", "--no-report", "--model")
+    assert orennayar(*command, "lambert").status == 0
+    result = tmp_path / "out" / capture_folder.name / "result.json"
+    result.write_text("")
+    assert orennayar(*command, "lambert").status == 0
+    assert json.loads(result.read_text())["model"] == "lambert"
+    assert "--again" in orennayar(*command, "vcavity").err
+    for text in ("{", "[]"):
+        (tmp_path / "out" / "captures.json").write_text(text)
+        assert "remove it" in orennayar(*command, "lambert").err
+    assert "list in UTF-8" in orennayar("batch", capture_folder / "001.png", "-o", tmp_path / "out").err

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import warnings
+from contextlib import nullcontext
 from pathlib import Path
 from typing import cast
 
@@ -62,7 +63,10 @@ def test_an_interrupted_run_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     shards = ton.write_shards(captures(), tmp_path, 4, per_shard=2)
     assert all(s.is_file() for s in shards)
     assert shards[0].stat().st_mtime_ns == before
-    assert len(ton.write_shards(captures(), tmp_path, 7, per_shard=2)) == 4
+    ton.write_shards(captures(), tmp_path, 5, per_shard=2)
+    more = ton.write_shards(captures(), tmp_path, 7, per_shard=2)
+    assert sorted(tmp_path.glob("*.tar")) == more
+    assert len(more) == 4
 
 
 def test_shards_of_other_captures_are_not_mixed(tmp_path: Path) -> None:
@@ -71,8 +75,19 @@ def test_shards_of_other_captures_are_not_mixed(tmp_path: Path) -> None:
         ton.write_shards(captures(seed=1), tmp_path, 2)
     with pytest.raises(RangeError, match="images"):
         ton.write_shards(SyntheticCaptures(), tmp_path, 2)  # type: ignore[arg-type]
-    with pytest.raises(RangeError, match="count"):
-        ton.write_shards(captures(), tmp_path, 0)
+    for count in (0, 2.5):
+        with pytest.raises(RangeError, match="count"):
+            ton.write_shards(captures(), tmp_path, count)  # type: ignore[arg-type]
+    with pytest.raises(RangeError, match="at most 3"):
+        ton.write_shards(captures(length=3), tmp_path, 5)
+    faces = torch.tensor([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+    for seed, other in ((0, False), (1, True)):
+        mesh = torch.rand(4, 3, generator=torch.Generator().manual_seed(seed)), faces
+        source = SyntheticCaptures("images", lights=(2, 3), size=(16, 20), meshes=[mesh])
+        with pytest.raises(FileError, match="others: meshes") if other else nullcontext():
+            ton.write_shards(source, tmp_path / "meshes", 1)
+    with pytest.raises(FileError, match="whole"):
+        ton.decode_shard({"npz": b"abc"})
     with pytest.raises(FileError, match="decode"):
         ton.decode_shard({"npz": {"images": 0}})
 

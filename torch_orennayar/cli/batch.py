@@ -12,7 +12,7 @@ from typing import Annotated, TypeAlias
 import typer
 
 from ..core.errors import FileError, TorchOrenNayarError
-from ..core.files import atomic_path
+from ..core.files import atomic_path, read_json
 from .options import Output, StereoModel
 
 COLUMNS = ("capture", "images", "model", "verdict", "seconds")
@@ -38,7 +38,7 @@ def batch(
     from .tables import print_table
 
     folders = name_folders(captures)
-    _claim(output, folders)
+    _claim(output, folders, model, again=again)
     solve = partial(solve_capture, model=model, report=report, again=again)
     jobs = [(folder, (output / name).resolve()) for folder, name in folders.items()]
     rows = []
@@ -51,18 +51,20 @@ def batch(
         raise typer.Exit(1)
 
 
-def _claim(output: Path, folders: dict[Path, str]) -> None:
+def _claim(output: Path, folders: dict[Path, str], model: str, *, again: bool) -> None:
     """Write down whose results the folders of ``output`` hold, so that those of others are not taken for them.
 
     Raises:
-        FileError: one of them holds the results of another capture.
+        FileError: one of them holds the results of another capture or model, or the list is damaged.
     """
     listed = output / LISTED
-    known: dict[str, str] = json.loads(listed.read_text(encoding="utf-8")) if listed.is_file() else {}
+    known = read_json(listed) if listed.is_file() else {}
     for folder, name in folders.items():
-        if known.setdefault(name, str(folder)) != str(folder):
-            got = f"{name}, those of {known[name]}"
-            raise FileError(str(output), expected=f"no results of others than {folder}", got=got, mend="use another -o")
+        wanted = {"folder": str(folder), "model": model}
+        if name in known and known[name] != wanted and not (again and known[name].get("folder") == str(folder)):
+            mend = "use another -o, or --again for another model of the same captures"
+            raise FileError(str(output), expected=f"no results but of {wanted}", got=f"{known[name]}", mend=mend)
+        known[name] = wanted
     with atomic_path(listed) as temporary:
         temporary.write_text(json.dumps(known, indent=1) + "\n", encoding="utf-8")
 
@@ -73,7 +75,9 @@ def solve_capture(folder: Path, place: Path, *, model: StereoModel, report: bool
 
     try:
         last = "report.html" if report else "result.json"  # what is written last
-        if again or not (place / last).is_file():
+        if not _is_whole(place):
+            (place / "result.json").unlink(missing_ok=True)
+        if again or not all((place / name).is_file() for name in ("result.json", last)):
             stereo(folder, place, model, report=report, animation=False)
         else:
             typer.echo(f"{place.name} has a result; --again solves it again")
@@ -122,7 +126,13 @@ def name_folders(captures: list[Path]) -> dict[Path, str]:
         if entry.is_dir() or entry.suffix.lower() == ".lp":
             found.append(entry)
         elif entry.is_file():
-            lines = (line.strip() for line in entry.read_text(encoding="utf-8").splitlines())
+            try:
+                lines = [line.strip() for line in entry.read_text(encoding="utf-8-sig").splitlines()]
+            except UnicodeDecodeError as error:
+                mend = "give folders of photographs, or text files that list them"
+                raise FileError(
+                    str(entry), expected="a folder or a list in UTF-8", got="other bytes", mend=mend
+                ) from error
             found += [entry.parent / line for line in lines if line and not line.startswith("#")]
         else:
             raise FileError(
@@ -132,10 +142,18 @@ def name_folders(captures: list[Path]) -> dict[Path, str]:
         raise FileError("captures", expected="at least one folder", got="an empty list", mend="name folders")
     possible = {}
     for folder in dict.fromkeys(f.resolve() for f in found):
-        parts = folder.parts[1:]
+        parts = folder.parts[1:] or ("root",)
         possible[folder] = ["--".join(parts[-count:]) for count in range(1, len(parts) + 1)]
     uses = Counter(name for names in possible.values() for name in names)
     return {folder: next(name for name in names if uses[name] == 1) for folder, names in possible.items()}
+
+
+def _is_whole(place: Path) -> bool:
+    """Whether the numbers of a result can be read."""
+    try:
+        return bool(read_json(place / "result.json"))
+    except FileError:
+        return False
 
 
 def _row(place: Path) -> Row:

@@ -9,6 +9,7 @@ import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from .errors import FileError
 
@@ -33,6 +34,21 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     target = Path(path)
     with atomic_directory(target.parent) as folder:
         yield folder / target.name
+
+
+def read_json(file: Path) -> dict[str, Any]:
+    """The content of a JSON file that this package wrote.
+
+    Raises:
+        FileError: it is missing or damaged.
+    """
+    try:
+        content = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise FileError(str(file), expected="a whole JSON file", got=str(error)[:80], mend="remove it") from error
+    if not isinstance(content, dict):
+        raise FileError(str(file), expected="a JSON object", got=type(content).__name__, mend="remove it")
+    return content
 
 
 WRITTEN_LIST = ".torch_orennayar.json"

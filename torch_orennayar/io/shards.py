@@ -7,6 +7,7 @@ object are 0.
 
 from __future__ import annotations
 
+import hashlib
 import io
 import json
 import os
@@ -23,7 +24,7 @@ from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
 from ..core.errors import FileError, RangeError
-from ..core.files import atomic_path
+from ..core.files import atomic_path, read_json
 from ..core.progress import track
 from ..synthetic.captures import SyntheticCaptures
 from ..synthetic.images import SyntheticImages
@@ -71,8 +72,10 @@ def write_shards(
     if captures.kind != "images":
         raise RangeError("captures", expected="kind 'images'", got=captures.kind, mend="pixels are as fast to make")
     for name, value in (("count", count), ("per_shard", per_shard)):
-        if value < 1:
-            raise RangeError(name, expected="1 or more", got=str(value), mend="ask for some")
+        if not _is_count(value):
+            raise RangeError(name, expected="a whole number, 1 or more", got=repr(value), mend="ask for some")
+    if captures.length is not None and count > captures.length:
+        raise RangeError("count", expected=f"at most {captures.length}", got=str(count), mend="make captures longer")
     place = Path(folder)
     _claim(place, captures, per_shard)
     writer = _ShardWriter(captures, place, count, per_shard)
@@ -80,6 +83,10 @@ def write_shards(
     loader = DataLoader(writer, batch_size=None, sampler=missing, num_workers=workers)
     for _ in track(loader, "shards", len(missing)):
         pass
+    for number in range(len(writer)):  # a last shard that was shorter is part of a whole one now
+        for other in place.glob(f"captures-{number:06d}*.tar"):
+            if other != writer.path(number):
+                other.unlink()
     return [writer.path(number) for number in range(len(writer))]
 
 
@@ -105,8 +112,11 @@ def decode_shard(record: Mapping[str, Any]) -> SyntheticImages:
         raise FileError(
             "record", expected="the bytes of a sample as 'npz'", got=", ".join(record), mend="leave .decode() out"
         )
-    with np.load(io.BytesIO(record["npz"])) as arrays:
-        return cast("SyntheticImages", {name: torch.from_numpy(arrays[name]) for name in arrays.files})
+    try:
+        with np.load(io.BytesIO(record["npz"])) as arrays:
+            return cast("SyntheticImages", {name: torch.from_numpy(arrays[name]) for name in arrays.files})
+    except (ValueError, EOFError, OSError, AttributeError, zipfile.BadZipFile) as error:
+        raise FileError("record", expected="a whole .npz", got=str(error)[:80], mend="write the shard again") from error
 
 
 class _ShardWriter(Dataset[str]):
@@ -155,12 +165,12 @@ def _claim(place: Path, captures: SyntheticCaptures[SyntheticImages], per_shard:
     """
     made = {
         "seed": captures.seed, "start": captures.start, "size": list(captures.size), "lights": list(captures.lights),
-        "mix": asdict(captures.mix), "per_shard": per_shard, "meshes": _count(captures.meshes),
+        "mix": asdict(captures.mix), "per_shard": per_shard, "meshes": _digest(captures.meshes),
     }  # fmt: skip
     made = json.loads(json.dumps(made))
     listed = place / LISTED
     if listed.is_file():
-        there = json.loads(listed.read_text(encoding="utf-8"))
+        there = read_json(listed)
         if there != made:
             differing = ", ".join(sorted(key for key in made.keys() | there.keys() if made.get(key) != there.get(key)))
             raise FileError(
@@ -171,6 +181,15 @@ def _claim(place: Path, captures: SyntheticCaptures[SyntheticImages], per_shard:
         temporary.write_text(json.dumps(made, indent=2) + "\n", encoding="utf-8")
 
 
-def _count(meshes: Sequence[tuple[Tensor, Tensor]] | None) -> list[list[int]] | None:
-    """Numbers of vertices and faces of given meshes."""
-    return None if meshes is None else [[len(vertices), len(faces)] for vertices, faces in meshes]
+def _digest(meshes: Sequence[tuple[Tensor, Tensor]] | None) -> str | None:
+    """A number that tells given meshes from others."""
+    if meshes is None:
+        return None
+    digest = hashlib.blake2b(digest_size=16)
+    for part in (part for mesh in meshes for part in mesh):
+        digest.update(f"{tuple(part.shape)} {part.dtype}".encode() + part.detach().cpu().contiguous().numpy().tobytes())
+    return digest.hexdigest()
+
+
+def _is_count(value: object) -> bool:
+    return isinstance(value, int) and value >= 1
