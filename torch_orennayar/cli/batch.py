@@ -157,7 +157,7 @@ def _is_whole(place: Path) -> bool:
 
 
 def _row(place: Path) -> Row:
-    numbers = json.loads((place / "result.json").read_text(encoding="utf-8"))
+    numbers = read_json(place / "result.json")
     seconds = numbers["seconds"]
     took = "" if seconds is None else f"{seconds:.1f}"
     return place.name, str(numbers["images"]), numbers["model"], numbers["verdict"], took
