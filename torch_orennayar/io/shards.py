@@ -84,7 +84,7 @@ def write_shards(
     for _ in track(loader, "shards", len(missing)):
         pass
     for number in range(len(writer)):  # a last shard that was shorter is part of a whole one now
-        for other in place.glob(f"captures-{number:06d}*.tar"):
+        for other in place.glob(f"captures-{number:06d}-*.tar"):
             if other != writer.path(number):
                 other.unlink()
     return [writer.path(number) for number in range(len(writer))]
