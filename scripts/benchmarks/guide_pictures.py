@@ -12,14 +12,11 @@ import sys
 import tempfile
 from pathlib import Path
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from scripts.benchmarks.record import ROOT
-from tests.support.example_code import load
-from tests.support.guides import follow
-from torch_orennayar import angular_error
+from tests.support.guides import follow, normal_error
 from torch_orennayar.io.figures import save_sheet
 from torch_orennayar.io.images import read_image
 from torch_orennayar.io.picture import to_unit
@@ -53,7 +50,7 @@ def main() -> None:
             for results in sorted(
                 file.parent for file in Path().glob("*/normal.npy") if (file.parent / "result.json").exists()
             ):
-                print(f"{guide}, {results}: normals {normal_error(results):.2f} degrees off")
+                print(f"{guide}, {results}: normals {normal_error(str(results)):.2f} degrees off")
             save_sheet(output / f"guide_{guide.replace('-', '_')}.png", [{c: picture(f) for c, f in files.items()}])
             os.chdir(ROOT)
 
@@ -67,13 +64,6 @@ def picture(file: str) -> Tensor:
     """(3, H, W) colours of a picture."""
     shown = torch.from_numpy(to_unit(read_image(Path(file))))
     return shown.expand(3, *shown.shape) if shown.ndim == 2 else shown.permute(2, 0, 1)
-
-
-def normal_error(results: Path) -> float:
-    """Mean error of the normals of the object in degrees."""
-    part = torch.from_numpy(np.load("truth/part.npy")) == load("photograph_scene").OBJECT
-    found, true = (torch.from_numpy(np.load(f)) for f in (results / "normal.npy", "truth/normal.npy"))
-    return angular_error(found, true, (part & (found != 0).any(0))[None]).summary()["mean"]
 
 
 if __name__ == "__main__":

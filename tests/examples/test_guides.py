@@ -10,9 +10,7 @@ import torch
 from torch import Tensor
 
 from tests.support.command_line import Run
-from tests.support.example_code import load
-from tests.support.guides import follow
-from torch_orennayar import angular_error
+from tests.support.guides import follow, normal_error
 
 
 @pytest.fixture
@@ -26,14 +24,6 @@ def must(orennayar: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Run
         return result
 
     return run  # type: ignore[return-value]
-
-
-def normal_error(results: str, truth: str = "truth") -> float:
-    """Mean error of the normals of the object in degrees."""
-    normal, part = np.load(Path(truth, "normal.npy")), np.load(Path(truth, "part.npy"))
-    found = torch.from_numpy(np.load(Path(results, "normal.npy")))
-    inside = torch.from_numpy(part == load("photograph_scene").OBJECT) & (found != 0).any(0)
-    return angular_error(found, torch.from_numpy(normal), inside[None]).summary()["mean"]
 
 
 def light_error(file: str) -> Tensor:

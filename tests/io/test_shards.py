@@ -67,6 +67,9 @@ def test_an_interrupted_run_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     more = ton.write_shards(captures(), tmp_path, 7, per_shard=2)
     assert sorted(tmp_path.glob("*.tar")) == more
     assert len(more) == 4
+    fewer = ton.write_shards(captures(), tmp_path, 3, per_shard=2)
+    assert fewer == more[:2]
+    assert sorted(tmp_path.glob("*.tar")) == more  # the whole shard holds what a short one would
 
 
 def test_shards_of_other_captures_are_not_mixed(tmp_path: Path) -> None:

@@ -7,6 +7,11 @@ import shlex
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
+import torch
+
+from torch_orennayar import angular_error
+
 from .example_code import EXAMPLES, load
 
 GUIDES = EXAMPLES / "guides"
@@ -32,3 +37,11 @@ def follow(guide: str, orennayar: Callable[..., object]) -> None:
             continue
         assert program == "python", program
         load(Path(words[0]).stem).main(words[1:])
+
+
+def normal_error(results: str) -> float:
+    """Mean error in degrees of a folder of results for what ``photograph_scene.py`` photographed in ``truth``."""
+    normal, part = np.load("truth/normal.npy"), np.load("truth/part.npy")
+    found = torch.from_numpy(np.load(Path(results, "normal.npy")))
+    inside = torch.from_numpy(part == load("photograph_scene").OBJECT) & (found != 0).any(0)
+    return angular_error(found, torch.from_numpy(normal), inside[None]).summary()["mean"]

@@ -22,6 +22,16 @@ def checking() -> bool:
     return not torch.compiler.is_compiling()
 
 
+def check_count(argument: str, value: object) -> None:
+    """Check that a number of things is a whole number, 1 or more.
+
+    Raises:
+        RangeError: it is not.
+    """
+    if not isinstance(value, int) or value < 1:
+        raise RangeError(argument, expected="a whole number, 1 or more", got=repr(value), mend="ask for one or more")
+
+
 def check_mask(mask: object, image: Tensor) -> Tensor:
     """The mask (1, H, W) bool of the object in ``image`` (..., H, W), all pixels if it is None.
 

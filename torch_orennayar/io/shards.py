@@ -23,6 +23,7 @@ import torch
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
+from ..core.checks import check_count
 from ..core.errors import FileError, RangeError
 from ..core.files import atomic_path, read_json
 from ..core.progress import track
@@ -51,7 +52,7 @@ def write_shards(
     Args:
         captures: of kind ``"images"``.
         folder: made if need be; with shards of other captures in it nothing is written.
-        count: number of captures.
+        count: number of captures; the last shard may hold more, where it was written whole before.
         per_shard: number of captures of a shard.
         workers: processes that make captures; 0 for this one.
 
@@ -71,9 +72,8 @@ def write_shards(
     """
     if captures.kind != "images":
         raise RangeError("captures", expected="kind 'images'", got=captures.kind, mend="pixels are as fast to make")
-    for name, value in (("count", count), ("per_shard", per_shard)):
-        if not _is_count(value):
-            raise RangeError(name, expected="a whole number, 1 or more", got=repr(value), mend="ask for some")
+    check_count("count", count)
+    check_count("per_shard", per_shard)
     if captures.length is not None and count > captures.length:
         raise RangeError("count", expected=f"at most {captures.length}", got=str(count), mend="make captures longer")
     place = Path(folder)
@@ -129,10 +129,10 @@ class _ShardWriter(Dataset[str]):
         return -(-self.count // self.per_shard)
 
     def path(self, number: int) -> Path:
-        """The last shard, which may be short, has its length in its name, so that a larger count makes it anew."""
+        """A short last shard has its length in its name, so that a larger count makes it anew; a whole one stays."""
         length = min(self.per_shard, self.count - number * self.per_shard)
-        short = "" if length == self.per_shard else f"-{length}"
-        return self.place / f"captures-{number:06d}{short}.tar"
+        whole = self.place / f"captures-{number:06d}.tar"
+        return whole if length == self.per_shard or whole.exists() else whole.with_stem(f"{whole.stem}-{length}")
 
     def __getitem__(self, number: int) -> str:
         first = number * self.per_shard
@@ -189,7 +189,3 @@ def _digest(meshes: Sequence[tuple[Tensor, Tensor]] | None) -> str | None:
     for part in (part for mesh in meshes for part in mesh):
         digest.update(f"{tuple(part.shape)} {part.dtype}".encode() + part.detach().cpu().contiguous().numpy().tobytes())
     return digest.hexdigest()
-
-
-def _is_count(value: object) -> bool:
-    return isinstance(value, int) and value >= 1

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 import torch
 from torch import Tensor, nn
 
+from ..core.checks import check_count
 from ..core.errors import RangeError, ShapeError
 from ..core.optional import require
 from ..shading.layer import OrenNayar
@@ -257,8 +258,7 @@ class RandomRelight(nn.Module):
         generator: torch.Generator | None = None,
     ) -> None:
         super().__init__()
-        if not _is_count(lights):
-            raise RangeError("lights", expected="a whole number, 1 or more", got=repr(lights), mend="ask for one")
+        check_count("lights", lights)
         if not 0 < widest <= math.pi / 2:
             raise RangeError("widest", expected="radians in (0, pi/2]", got=str(widest), mend="use math.radians")
         if not _is_pair(roughness) or not 0 <= roughness[0] <= roughness[1] <= math.pi / 2:
@@ -306,10 +306,6 @@ class RandomRelight(nn.Module):
     def _device(self, like: Tensor) -> torch.device:
         """Where random numbers are drawn."""
         return like.device if self.generator is None else self.generator.device
-
-
-def _is_count(value: object) -> bool:
-    return isinstance(value, int) and value >= 1
 
 
 def _is_pair(value: object) -> bool:
