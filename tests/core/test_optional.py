@@ -13,9 +13,9 @@ from torch_orennayar.core.optional import PACKAGES, require
 
 ROOT = Path(__file__).parent.parent.parent
 ALWAYS = sys.stdlib_module_names | {"torch", "numpy", "torch_orennayar"}
-ENTRANCES = {"export": {"onnx", "onnxruntime"}, "cli": {"typer"}, "compiled_coverage": {"numba"}}
-"""Folders that `require` guards at their entrance, `export/api.py` and `cli/__init__.py`, and a file that its only user
-imports where `available` says so."""
+ENTRANCES = {"export": {"onnx", "onnxruntime"}, "cli": {"typer"}, "compiled_coverage": {"numba"}, "compiled": {"numba"}}
+"""Folders that `require` guards at their entrance, `export/api.py` and `cli/__init__.py`, and files that are imported
+where `available` says so."""
 
 
 def test_missing_packages_are_named(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,6 +10,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from torch_orennayar.geometry.primitives import Ball, spiral_lights
+from torch_orennayar.stereo.gauss_newton import LOBE_RIDGE
 from torch_orennayar.stereo.light_adjustment import (
     DAMPING,
     INDEPENDENT,
@@ -25,7 +26,6 @@ from torch_orennayar.stereo.light_adjustment import (
 from torch_orennayar.stereo.linear_systems import tangent_vectors
 from torch_orennayar.stereo.material import LightDirections, Material, respond
 from torch_orennayar.stereo.material_refinement import number_of, with_number
-from torch_orennayar.stereo.robust_fit import LOBE_RIDGE
 from torch_orennayar.stereo.robust_stats import (
     ERROR_CAP,
     geman_mcclure,

@@ -10,11 +10,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, nullcontext
+from functools import lru_cache
 from typing import Any, TypeVar
 
 import torch
 
-from .optional import available
+from .optional import available, require
 from .progress import track
 
 Part = TypeVar("Part")
@@ -25,11 +26,18 @@ def one_thread() -> AbstractContextManager[Any]:
     """Limit torch to one thread in the calling thread, from the call on; where threadpoolctl is missing, do nothing."""
     if not available("threadpoolctl"):
         return nullcontext()
+    torch.get_num_threads()  # at its first call in a thread torch sets the number itself, over the one set here
+    limits: AbstractContextManager[Any] = _openmp().limit(limits=1)
+    return limits
+
+
+@lru_cache(1)
+def _openmp() -> Any:
+    """The OpenMP libraries of the process, torch's among them; looking for them takes milliseconds."""
+    require("threadpoolctl")
     from threadpoolctl import ThreadpoolController
 
-    torch.get_num_threads()  # at its first call in a thread torch sets the number itself, over the one set here
-    limits: AbstractContextManager[Any] = ThreadpoolController().select(user_api="openmp").limit(limits=1)
-    return limits
+    return ThreadpoolController().select(user_api="openmp")
 
 
 def side_by_side(

@@ -7,10 +7,11 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from .gauss_newton import LOBE_RIDGE
 from .linear_systems import solve_symmetric
 from .material import Material, respond
 from .pixel_sample import PixelSample
-from .robust_fit import LOBE_RIDGE, PixelFit, predict, weights
+from .robust_fit import PixelFit, predict, weights
 from .robust_stats import Used, mean_brightness
 
 LEAST_ALBEDO = 1e-12

@@ -15,11 +15,12 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from . import robust_fit
+from .gauss_newton import LOBE_RIDGE, fill_jacobian, tilted
 from .linear_systems import camera_facing, tangent_vectors
 from .material import LightDirections, Material, Response, respond
 from .material_refinement import capped_error, number_of, number_range, with_number
 from .pixel_sample import PixelSample
-from .robust_fit import LOBE_RIDGE, PixelFit, fill_jacobian, tilted
+from .robust_fit import PixelFit
 from .robust_stats import (
     ERROR_CAP,
     Used,

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from ..core.errors import CaptureError
 from . import robust_fit
+from .gauss_newton import fill_jacobian
 from .linear_systems import solve_symmetric, tangent_vectors
 from .material import Material, respond
 from .pixel_sample import PixelSample
@@ -171,7 +172,7 @@ def roughness_information(fitted: PixelFit, sample: PixelSample, material: Mater
         return 0.0
     size = 3 + len(material.exponents)
     jacobian = grey.new_empty(len(grey), size + 1, grey.shape[1])
-    robust_fit.fill_jacobian(jacobian, response, tangent_vectors(fitted.normal), sample.directions)
+    fill_jacobian(jacobian, response, tangent_vectors(fitted.normal), sample.directions)
     jacobian[:, size] = response.by_roughness
     used = robust_fit.weights(fitted, grey, response.value * mean, "lit")
     spare = (used.sum(1, keepdim=True) - size).clamp_min(0.5)  # observations beyond what the unknowns use up

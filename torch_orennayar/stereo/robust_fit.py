@@ -14,21 +14,20 @@ from typing import Literal, TypeVar
 import torch
 from torch import Tensor
 
+from ..core.optional import available
 from ..core.threads import side_by_side
-from .linear_systems import camera_facing, solve_symmetric, tangent_vectors, weighted_lambert
-from .material import LightDirections, Material, Response, cosines, respond
+from .gauss_newton import Estimate, Quality, gauss_newton
+from .linear_systems import camera_facing, weighted_lambert
+from .material import LightDirections, Material, cosines, respond
 from .pixel_sample import PixelSample
 from .robust_stats import (
     MIDDLE_RANKS,
-    NOISE_FLOOR,
     Used,
     between_ranks,
     geman_mcclure,
     geman_mcclure_cost,
     in_light,
     mean_brightness,
-    median_rank,
-    noise_level,
     select,
 )
 
@@ -37,7 +36,7 @@ StartName = Literal["middle", "dim", "highlight"]
 Start = Callable[[Tensor, LightDirections], tuple[Tensor, Tensor]]
 """Normal and albedo to begin with, from observations over their mean."""
 
-CHUNK = 120_000
+CHUNK = 300_000
 """Observations that are solved together on a processor, so that temporaries stay in its cache; set by hand.
 
 Chunks run side by side, each on one thread: on a busy machine that is several times faster than one chunk after the
@@ -49,17 +48,6 @@ DIM_RANKS = (0.05, 0.55)
 """Shares of a pixel's ranks for the start ``"dim"``, which leaves out broad highlights; set by hand."""
 BRIGHTEST = 0.05
 """Share of a pixel's observations whose half vectors give the start ``"highlight"``; set by hand."""
-DAMPING = 1e-3
-"""Of Gauss-Newton steps, as a share of the diagonal (Levenberg-Marquardt); set by hand."""
-MAX_TILT = 0.25
-"""Radians by which a normal may tilt in a step; set by hand."""
-LOBE_RIDGE = 0.02
-"""Weight of the prior that lobes have no strength, in squared observations over their mean: without a highlight in
-sight their strengths are not determined. Set by hand."""
-NEIGHBOUR_WEIGHT = 440.0
-"""Weight of the neighbours' normal per variance of the residuals, 10 / 0.15**2: as if neighbours differed by 0.15 rad,
-and ten observations were worth one, because a model that does not fit errs the same way under many lights. Set by
-hand."""
 
 
 @dataclass(frozen=True)
@@ -84,6 +72,11 @@ class PixelFit:
 
     def __getitem__(self, part: slice | Tensor) -> PixelFit:
         return PixelFit(*(getattr(self, f.name)[part] for f in fields(self)))
+
+    def replaced(self, places: Tensor, other: PixelFit) -> PixelFit:
+        """A copy in which the pixels at these indices have the values of another fit."""
+        parts = (getattr(self, f.name).index_copy(0, places, getattr(other, f.name)) for f in fields(self))
+        return PixelFit(*parts)
 
     @staticmethod
     def pick(fits: Sequence[PixelFit], which: Tensor) -> PixelFit:
@@ -184,104 +177,36 @@ def common_cost(fitted: PixelFit, noise: Tensor, sample: PixelSample, material: 
 def _fit_chunk(
     sample: PixelSample, material: Material, used: Used, steps: int, start: PixelFit | StartName, prior: Tensor | None
 ) -> PixelFit:
-    """`fit` of one chunk: unknowns are two tangent angles, albedo and the strengths of lobes."""
-    mean, directions, count = mean_brightness(sample.grey), sample.directions, len(material.exponents)
+    """`fit` of one chunk, where everything is divided by the pixel's mean."""
+    mean, directions = mean_brightness(sample.grey), sample.directions
     seen = sample.grey / mean
-    normal, albedo, lobes = _begin(seen, mean, directions, start, count)
-    selected = select(seen, used)
-    rank = median_rank(selected)
-    jacobian = seen.new_empty(len(seen), 4 + count, len(directions))
-    curvature: list[list[Tensor]] = []
-    for _ in range(steps):
-        response = respond(material, normal, albedo, lobes, directions, mean)
-        residual = seen - response.value
-        noise = noise_level(residual, selected, rank)
-        tangents = tangent_vectors(normal)
-        fill_jacobian(jacobian, response, tangents, directions)
-        jacobian[:, -1] = residual
-        matrix, right = _normal_equations(jacobian, geman_mcclure(selected, residual, noise))
-        curvature = [row[:] for row in matrix]
-        for axis, row in enumerate(matrix):
-            row[axis] = row[axis] * (1 + DAMPING) + 1e-9 * len(directions)
-        if prior is not None:
-            # Pixels at the noise floor fit perfectly and need no neighbours.
-            weight = NEIGHBOUR_WEIGHT * (noise[:, 0].square() - NOISE_FLOOR**2)
-            for axis, tangent in enumerate(tangents):
-                matrix[axis][axis] = matrix[axis][axis] + weight
-                right[axis] = right[axis] + weight * ((prior - normal) * tangent).sum(1)
-        for axis in range(3, 3 + count):
-            matrix[axis][axis] = matrix[axis][axis] + LOBE_RIDGE
-            right[axis] = right[axis] - LOBE_RIDGE * lobes[:, axis - 3]
-        step = _nonnegative_step(matrix, right, lobes)
-        normal = tilted(normal, tangents, torch.stack(step[:2], 1))
-        albedo = (albedo + step[2][:, None]).clamp_min(1e-6)
-        if count:
-            lobes = (lobes + torch.stack(step[3:], 1)).clamp_min(0)
-    residual = seen - respond(material, normal, albedo, lobes, directions, mean).value
-    noise = noise_level(residual, selected, rank)
-    missed = residual.abs().mean(1, keepdim=True) * mean
-    return PixelFit(normal, albedo * mean, lobes * mean, noise, missed, noise * _unit_spread(curvature))
+    begin = _begin(seen, mean, directions, start, len(material.exponents))
+    improve = _solver(seen, material)
+    (normal, albedo, lobes), (noise, missed, spread) = improve(
+        seen, select(seen, used), mean, directions, material, begin, steps, prior
+    )
+    return PixelFit(normal, albedo * mean, lobes * mean, noise, missed * mean, spread)
+
+
+def _solver(seen: Tensor, material: Material) -> Callable[..., tuple[Estimate, Quality]]:
+    """The compiled steps where they can take the pixels, else those of torch."""
+    if seen.device.type == "cpu" and seen.dtype == torch.float32 and available("numba"):
+        from .compiled_fit import MODELS, compiled_gauss_newton
+
+        if material.model in MODELS:
+            return compiled_gauss_newton
+    return gauss_newton
 
 
 def _begin(
     seen: Tensor, mean: Tensor, directions: LightDirections, start: PixelFit | StartName, count: int
-) -> tuple[Tensor, Tensor, Tensor]:
+) -> Estimate:
     """Normal, albedo and ``count`` lobes to begin with, over the pixels' mean; no lobes where the start has others."""
     lobes = seen.new_zeros(len(seen), count)
     if isinstance(start, PixelFit):
         lobes = start.lobes / mean if start.lobes.shape[1] == count else lobes
-        return start.normal, start.albedo / mean, lobes
-    return *STARTS[start](seen, directions), lobes
-
-
-def fill_jacobian(
-    jacobian: Tensor, response: Response, tangents: tuple[Tensor, Tensor], directions: LightDirections
-) -> None:
-    """Write derivatives by two tangent angles, albedo and lobes into the first rows of (P, N, K)."""
-    for axis, tangent in enumerate(tangents):
-        column = cosines(tangent, directions.light) * response.by_light
-        if response.by_view is not None:
-            column += response.by_view * tangent[:, 2:]
-        if response.by_half is not None:
-            column += response.by_half * cosines(tangent, directions.half)
-        jacobian[:, axis] = column
-    for axis, column in enumerate(response.columns):
-        jacobian[:, 2 + axis] = column
-
-
-def _normal_equations(jacobian: Tensor, weight: Tensor) -> tuple[list[list[Tensor]], list[Tensor]]:
-    """Matrix and right side, entries (P,), from N derivatives and the residual in the last row of (P, N + 1, K)."""
-    size = jacobian.shape[1] - 1
-    products = torch.bmm(jacobian[:, :size] * weight[:, None], jacobian.mT).permute(1, 2, 0)
-    matrix = [list(row.unbind(0)) for row in products[:, :size].contiguous()]
-    return matrix, list(products[:, size].contiguous().unbind(0))
-
-
-def _nonnegative_step(matrix: list[list[Tensor]], right: list[Tensor], lobes: Tensor) -> list[Tensor]:
-    """The step; lobes that it would take below 0 stop there and the rest is solved again."""
-    step = solve_symmetric(matrix, right)
-    for axis in range(lobes.shape[1]):
-        at = 3 + axis
-        below = (lobes[:, axis] + step[at] < 0).to(lobes)
-        penalty = 1e4 * matrix[at][at] * below
-        right[at] = right[at] * (1 - below) - penalty * lobes[:, axis]
-        matrix[at][at] = matrix[at][at] + penalty
-    return solve_symmetric(matrix, right) if lobes.shape[1] else step
-
-
-def tilted(normal: Tensor, tangents: tuple[Tensor, Tensor], angles: Tensor) -> Tensor:
-    """Normals tilted by two tangent angles (P, 2), at most by `MAX_TILT`."""
-    angles = angles * (MAX_TILT / angles.norm(dim=1, keepdim=True).clamp_min(MAX_TILT))
-    return camera_facing(normal + tangents[0] * angles[:, :1] + tangents[1] * angles[:, 1:])
-
-
-def _unit_spread(matrix: Sequence[Sequence[Tensor]]) -> Tensor:
-    """Square root of the summed variances of both tangent angles for residuals of variance 1, (P, 1)."""
-    trace = torch.zeros_like(matrix[0][0])
-    for axis in (0, 1):
-        basis = [torch.full_like(trace, float(i == axis)) for i in range(len(matrix))]
-        trace = trace + solve_symmetric(matrix, basis)[axis]
-    return torch.where(trace > 0, trace, torch.inf).sqrt()[:, None]
+        return Estimate(start.normal, start.albedo / mean, lobes)
+    return Estimate(*STARTS[start](seen, directions), lobes)
 
 
 def _start_lambert(low: float, high: float) -> Start:

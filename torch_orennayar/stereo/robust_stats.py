@@ -70,8 +70,12 @@ def ascending(values: Tensor) -> Tensor:
 
 def in_light(grey: Tensor) -> Tensor:
     """1 for observations that are not in shadow, (P, K); at least for the three brightest."""
+    return _in_light(grey, ascending(grey))
+
+
+def _in_light(grey: Tensor, ordered: Tensor) -> Tensor:
+    """`in_light` of observations whose ascending order is known."""
     count = grey.shape[1]
-    ordered = ascending(grey)
     bright, third = (ordered[:, max(1, rank) - 1, None] for rank in (round(BRIGHT * count), count - 2))
     threshold = SHADOW * bright
     return (grey >= torch.minimum(threshold, third)).to(grey)
@@ -79,12 +83,12 @@ def in_light(grey: Tensor) -> Tensor:
 
 def between_ranks(grey: Tensor, low: float, high: float) -> Tensor:
     """1 for observations in light between two shares of their pixel's ranks; for all in light where these are few."""
-    count = grey.shape[1]
-    lit = in_light(grey)
+    count, ordered = grey.shape[1], ascending(grey)
+    lit = _in_light(grey, ordered)
     if count < MIN_LIGHTS_RANKED:
         return lit
-    order = grey.argsort(1)[:, math.floor(low * count) : math.ceil(high * count)]
-    both = torch.zeros_like(grey).scatter_(1, order, 1.0) * lit
+    least, most = (ordered[:, rank, None] for rank in (math.floor(low * count), math.ceil(high * count) - 1))
+    both = ((grey >= least) & (grey <= most)).to(grey) * lit
     enough = (both.sum(1, keepdim=True) >= MIN_RANKED).to(grey)
     return both * enough + lit * (1 - enough)
 
