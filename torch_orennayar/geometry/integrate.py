@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -40,6 +40,9 @@ TOLERANCE = 1e-4
 """Residual relative to the right-hand side at which conjugate gradients stop; set by hand."""
 LARGE = 500_000
 """Number of pixels above which a solution at half the size is the initial value; set by hand."""
+MOST_STEPS = 5
+"""Steps of conjugate gradients after which the next system gets a multigrid hierarchy of its own. Set by hand: with a
+larger number early systems gain nothing and late ones, whose weights change more, need up to 100 steps."""
 SMALL = 500
 """Number of pixels up to which a direct solver is used instead of conjugate gradients; set by hand."""
 LEAST_TRUST = 1e-9
@@ -196,39 +199,60 @@ def _integrate(field: _Field) -> Floats:
         canvas[coarse.inside] = _integrate(coarse)
         height = canvas.repeat(2, 0).repeat(2, 1)[: field.inside.shape[0], : field.inside.shape[1]][field.inside]
         sharpness = [SHARPNESS[1]] * LAST_STEPS
+    solver = _Solver(pairs, count)
     for value in track(sharpness, "integrating", len(sharpness)):
-        height = _solve(pairs, [p.trust(height, value) for p in pairs], height)
+        height = solver.solve(np.concatenate([p.trust(height, value) for p in pairs]), height)
     return height
 
 
-def _solve(pairs: Sequence[_Pairs], trust: Sequence[Floats], start: Floats) -> Floats:
-    """Weighted least squares over all pairs, by conjugate gradients with algebraic multigrid."""
-    require("pyamg", "scipy")
-    import pyamg
-    import scipy.sparse
-    import scipy.sparse.linalg
+class _Solver:
+    """Weighted least squares over pairs of pixels by conjugate gradients with algebraic multigrid.
 
-    count = len(start)
-    first, second = (np.concatenate([getattr(p, name) for p in pairs]) for name in ("first", "second"))
-    weight = np.concatenate([t * (p.scale**2).sum(0) for p, t in zip(pairs, trust, strict=True)])
-    flow = weight * np.concatenate([p.rise for p in pairs])
-    diagonal = np.bincount(first, weight, count) + np.bincount(second, weight, count)
-    # The ridge makes the system regular although every region has a free constant; the means are set later.
-    ridge = 1e-9 * max(float(diagonal.mean()), 1e-12)
-    own = np.arange(count)
-    system = scipy.sparse.csr_matrix(
-        (
-            np.concatenate((-weight, -weight, diagonal + ridge)),
-            (np.concatenate((first, second, own)), np.concatenate((second, first, own))),
-        ),
-        shape=(count, count),
-    )
-    target = np.bincount(second, flow, count) - np.bincount(first, flow, count)
-    if count <= SMALL:
-        return np.asarray(scipy.sparse.linalg.spsolve(system.tocsc(), target)).reshape(count)
-    preconditioner = pyamg.ruge_stuben_solver(system, max_coarse=50).aspreconditioner()
-    solution, _ = scipy.sparse.linalg.cg(system, target, x0=start, rtol=TOLERANCE, maxiter=100, M=preconditioner)
-    return np.asarray(solution)
+    From one set of weights to the next the multigrid hierarchy is kept while it does its work.
+    """
+
+    def __init__(self, pairs: Sequence[_Pairs], count: int) -> None:
+        self.count = count
+        self.first, self.second = (np.concatenate([getattr(p, name) for p in pairs]) for name in ("first", "second"))
+        self.squares = np.concatenate([(p.scale**2).sum(0) for p in pairs])
+        self.rise = np.concatenate([p.rise for p in pairs])
+        self.preconditioner: Any = None
+        self.steps = 0
+
+    def solve(self, trust: Floats, start: Floats) -> Floats:
+        """Heights (P,) for the trust (E,) in the pairs."""
+        require("pyamg", "scipy")
+        import pyamg
+        import scipy.sparse
+        import scipy.sparse.linalg
+
+        first, second, count = self.first, self.second, self.count
+        weight = trust * self.squares
+        flow = weight * self.rise
+        diagonal = np.bincount(first, weight, count) + np.bincount(second, weight, count)
+        # The ridge makes the system regular although every region has a free constant; the means are set later.
+        ridge = 1e-9 * max(float(diagonal.mean()), 1e-12)
+        own = np.arange(count)
+        system = scipy.sparse.csr_matrix(
+            (
+                np.concatenate((-weight, -weight, diagonal + ridge)),
+                (np.concatenate((first, second, own)), np.concatenate((second, first, own))),
+            ),
+            shape=(count, count),
+        )
+        target = np.bincount(second, flow, count) - np.bincount(first, flow, count)
+        if count <= SMALL:
+            return np.asarray(scipy.sparse.linalg.spsolve(system.tocsc(), target)).reshape(count)
+        if self.preconditioner is None or self.steps > MOST_STEPS:
+            self.preconditioner = pyamg.ruge_stuben_solver(system, max_coarse=50).aspreconditioner()
+        self.steps = 0
+        solution, _ = scipy.sparse.linalg.cg(
+            system, target, x0=start, rtol=TOLERANCE, maxiter=100, M=self.preconditioner, callback=self._count
+        )
+        return np.asarray(solution)
+
+    def _count(self, _: Floats) -> None:
+        self.steps += 1
 
 
 def _centre(height: Floats, inside: Bools) -> Floats:

@@ -9,6 +9,7 @@ from types import MappingProxyType
 import torch
 from torch import Tensor
 
+from ..core.checks import broadcast_shape
 from ..core.errors import ModelError
 from . import gradients
 from .formulas import eon, fujii, full, lambert, qualitative, qualitative_057, vcavity
@@ -132,7 +133,7 @@ def value_and_vjp(
 
 def expand_value(value: Tensor, arguments: Sequence[Tensor]) -> Tensor:
     """``value`` in the broadcast shape of a model's arguments, of which the model may use only some."""
-    shape = torch.broadcast_shapes(*(t.shape for t in arguments))
+    shape = broadcast_shape(*(t.shape for t in arguments))
     return value if value.shape == shape else value.expand(shape)
 
 

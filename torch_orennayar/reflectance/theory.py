@@ -21,6 +21,8 @@ import torch
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
+from ..core.checks import broadcast_shape
+
 SLOPES, AZIMUTHS, MODES = 32, 96, 8
 """Nodes over the slope and azimuth of the walls, and number of polynomials along a wall; set by hand. Three times the
 nodes differ by 5e-5 RMS (``scripts/fit/tabulate_errors.py``, ``quadrature_error``)."""
@@ -37,7 +39,7 @@ def theory(ci: Tensor, co: Tensor, lv: Tensor, rho: Tensor, sigma: Tensor) -> Te
 
     Sines are clamped to at least 1e-6 before any division, which keeps gradients finite at the normal.
     """
-    shape = torch.broadcast_shapes(ci.shape, co.shape, lv.shape, rho.shape, sigma.shape)
+    shape = broadcast_shape(ci.shape, co.shape, lv.shape, rho.shape, sigma.shape)
     i, o, between, albedo, spread = (t.expand(shape).reshape(-1).double() for t in (ci, co, lv, rho, sigma))
     result = reflectance_by_bounces(i, o, between, spread, albedo.clamp(0, 1)[:, None]).sum(-1)[:, 0]
     return (albedo * result).reshape(shape).to(torch.promote_types(ci.dtype, rho.dtype))

@@ -16,6 +16,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from ..core.checks import broadcast_shape
 from ..reflectance.models import Model, value_and_vjp
 from .evaluate import facing_both, shade_whole, transformed
 from .inputs import ShadingInputs, map_inputs
@@ -164,7 +165,7 @@ def _backward_tile(
     by_product = gradient * lit  # the gradient with respect to pi f_r times the irradiance
     weight, by_lit = (by_product, gradient) if irradiance is None else (by_product * irradiance, gradient * irradiance)
     arguments = ci, co, lv, rho, sigma
-    shape = torch.broadcast_shapes(*(t.shape for t in arguments))
+    shape = broadcast_shape(*(t.shape for t in arguments))
     value, found = value_and_vjp(model, arguments, weight.sum_to_size(shape))
     by_ci, by_co, by_lv, by_rho, by_sigma = (
         None if by is None else by.sum_to_size(t.shape) for by, t in zip(found, arguments, strict=True)
@@ -190,7 +191,7 @@ def _facing_or_finite(tensor: Tensor, facing: Tensor) -> Tensor:
 
     Selecting by pixel costs less in a compiled graph than testing each number of a map.
     """
-    if torch.broadcast_shapes(facing.shape, tensor.shape) == tensor.shape:
+    if broadcast_shape(facing.shape, tensor.shape) == tensor.shape:
         return torch.where(facing, tensor, 0.0)
     return finite_or_zero(tensor)
 
@@ -230,7 +231,7 @@ def _shape(inputs: ShadingInputs, axis: int) -> tuple[int, ...]:
     shapes = [list(t.shape) for t in inputs if t is not None]
     for shape in shapes[:3]:
         shape[axis] = 1
-    return tuple(torch.broadcast_shapes(*shapes))
+    return tuple(broadcast_shape(*shapes))
 
 
 def tile_indices(shape: tuple[int, ...], axis: int, device: torch.device) -> Iterator[_Index]:
