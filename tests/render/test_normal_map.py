@@ -229,7 +229,7 @@ def test_coincident_vertices_give_finite_gradients() -> None:
 def test_large_triangles_are_searched_in_parts(monkeypatch: pytest.MonkeyPatch) -> None:
     vertices, faces = sphere(2)
     whole = render_normals(vertices * 3, faces, Camera.perspective(1.4, (0, 0, 3.5)), (40, 40))
-    monkeypatch.setattr("torch_orennayar.render.raster._compiled", lambda _: False)
+    monkeypatch.setattr("torch_orennayar.render.raster.is_compiled", lambda _: False)
     monkeypatch.setattr("torch_orennayar.render.spans.FRAGMENTS", 37)
     monkeypatch.setattr("torch_orennayar.render.raster.CHUNK", 29)
     monkeypatch.setattr("torch_orennayar.render.interpolate.TILE", 100)
@@ -380,7 +380,7 @@ def pairs(
         step = torch.arange(len(which)) - (number.cumsum(0) - number)[which]
         entered.append(torch.stack((face.expand(len(spans.begin), -1).flatten()[which], first[which] + step), 1))
 
-    monkeypatch.setattr(raster, "_compiled", lambda _: False)  # whose keys are the same: test_compiled_coverage.py
+    monkeypatch.setattr(raster, "is_compiled", lambda _: False)  # whose keys are the same: test_compiled.py
     monkeypatch.setattr(raster, "enter", spy)
     render_normals(vertices, faces, camera, size, smooth=False)
     monkeypatch.undo()

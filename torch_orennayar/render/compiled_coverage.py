@@ -1,7 +1,7 @@
 """The coverage of `raster` and `spans` compiled by numba for CPU tensors: the same whole numbers, face by face.
 
 Imported only where numba is installed. Every operation on whole numbers is exact in both, and those on depths round in
-the same order, so that the keys are equal to the last bit (tests/render/test_compiled_coverage.py). Compiled code is
+the same order, so that the keys are equal to the last bit (tests/render/test_compiled.py). Compiled code is
 kept on disk beside this file, or in numba's cache folder; the first use of all takes some seconds.
 """
 
@@ -36,8 +36,10 @@ def enter_faces(
     height: int,
     width: int,
     shown: int,
+    low: int,
+    high: int,
 ) -> None:
-    """Enter faces into the keys of all views, which keep the smallest key of each pixel.
+    """Enter faces into the keys of some rows, which keep the smallest key of each pixel.
 
     Args:
         best: (pixels of all views,), changed in place.
@@ -50,10 +52,15 @@ def enter_faces(
         height: rows of a view.
         width: columns of a view.
         shown: 1 or -1 for faces of that sign of area alone, 0 for both.
+        low: first row, counted through all views.
+        high: behind the last.
     """
     half = STEPS // 2
     px, py, pz = np.empty(3, np.int64), np.empty(3, np.int64), np.empty(3, np.int64)
     for t in range(corners.shape[1]):
+        above, below = low - views[t] * height, high - views[t] * height  # in the face's view
+        if above >= height or below <= 0:
+            continue
         a, b, c = corners[0, t], corners[1, t], corners[2, t]
         if not (math.isfinite(x[a] + x[b] + x[c]) and math.isfinite(y[a] + y[b] + y[c])):
             continue
@@ -64,7 +71,13 @@ def enter_faces(
         left = max(0, (px.min() + half - 1) // STEPS)
         right = min(width, (px.max() + half - 1) // STEPS)
         area = (px[1] - px[0]) * (py[2] - py[1]) - (py[1] - py[0]) * (px[2] - px[1])
-        if first >= last or left >= right or area == 0 or (shown != 0 and (area > 0) != (shown > 0)):
+        if (
+            first >= min(last, below)
+            or last <= above
+            or left >= right
+            or area == 0
+            or (shown != 0 and (area > 0) != (shown > 0))
+        ):
             continue
         pz[0], pz[1], pz[2] = z[a], z[b], z[c]
         for k in range(3):
@@ -72,7 +85,7 @@ def enter_faces(
         for row in range(first, last, ROWS):  # in pieces, as depths are rounded relative to the first row of each
             _enter_piece(
                 best, px, py, pz, area, row, min(row + ROWS, last), left, width,
-                views[t] * height * width, faces[t],
+                views[t] * height * width, faces[t], above, below,
             )  # fmt: skip
 
 
@@ -89,8 +102,10 @@ def _enter_piece(
     width: int,
     start: int,
     face: int,
+    above: int,
+    below: int,
 ) -> None:
-    """Enter the rows ``first`` to ``last`` of a face with columns ``px`` relative to the column ``left``."""
+    """Enter the rows ``first`` to ``last`` of a face that lie from ``above`` to ``below``, columns from ``left``."""
     py = rows - (first * STEPS + STEPS // 2)
     x1, x2, y1, y2 = float(px[1] - px[0]), float(px[2] - px[0]), float(py[1] - py[0]), float(py[2] - py[0])
     z1, z2 = float(pz[1] - pz[0]), float(pz[2] - pz[0])
@@ -99,7 +114,7 @@ def _enter_piece(
     base = along * px[0] + down * py[0]
     lowest, highest = min(z1, z2, 0.0), max(z1, z2, 0.0)
     step = int(min(max(np.rint(along * GRID), -HIGHEST), HIGHEST)) << FACE_BITS
-    for row in range(last - first):
+    for row in range(max(above - first, 0), min(last, below) - first):
         begin, stop = 0, width - left
         for k in range(3):
             n = (k + 1) % 3

@@ -7,13 +7,15 @@ the rounding takes the nearest point of the face.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
+from ..core.threads import side_by_side
 from ..geometry.mesh import unit_or_zero
-from .spans import exporting
+from .spans import exporting, is_compiled
 
 TILE = 1 << 15
 """Pixels per tile, so that its values stay in a processor's cache: set by hand."""
@@ -241,6 +243,9 @@ class _Tiles(torch.autograd.Function):
         ctx.options = (size, smooth, perspective)
         rows = index.shape[0] // size[1]
         normal, depth, barycentric = (table.new_empty(k, rows, size[1]) for k in (3, 1, 3))
+        if is_compiled(table):
+            _fill(table, index, size, smooth, perspective, (normal, depth, barycentric))
+            return normal, depth[0], barycentric
         space = table.new_empty(min(max(TILE, size[1]), index.shape[0]), table.shape[1])
         for part in _tiles(rows, size[1]):
             here = index[part.start * size[1] : part.stop * size[1]]
@@ -260,6 +265,9 @@ class _Tiles(torch.autograd.Function):
             (whole,) = torch.autograd.grad(values, table, arriving, create_graph=True)
             return whole, None, None, None, None
         gradient = torch.zeros_like(table)
+        if is_compiled(table):
+            _add_gradients(table, index, size, smooth, perspective, arriving, gradient)
+            return gradient, None, None, None, None
         for part in _tiles(rows, size[1]):
             here = index[part.start * size[1] : part.stop * size[1]]
             found = table.index_select(0, here).requires_grad_()
@@ -268,6 +276,54 @@ class _Tiles(torch.autograd.Function):
             given = [arriving[0][:, part], arriving[1][part], arriving[2][:, part]]
             gradient.index_add_(0, here, torch.autograd.grad(values, found, given)[0])
         return gradient, None, None, None, None
+
+
+def _fill(
+    table: Tensor,
+    index: Tensor,
+    size: tuple[int, int],
+    smooth: bool,
+    perspective: bool,
+    maps: tuple[Tensor, Tensor, Tensor],
+) -> None:
+    """`_values` of all pixels by compiled code, bands of them side by side."""
+    from .compiled_interpolate import fill_maps
+
+    rows, where = table.detach().numpy(), index.numpy()
+    normal, depth, barycentric = (t.flatten(-2).numpy() for t in maps)
+    options = (size, 3 if perspective else 2, 4 if smooth else 1, CANCELLED)
+
+    def work(part: slice) -> None:
+        fill_maps(rows, where, part.start, part.stop, *options, normal, depth[0], barycentric)
+
+    side_by_side(work, _parts(len(where), TILE), workers=torch.get_num_threads())
+
+
+def _add_gradients(
+    table: Tensor,
+    index: Tensor,
+    size: tuple[int, int],
+    smooth: bool,
+    perspective: bool,
+    arriving: Sequence[Tensor],
+    gradient: Tensor,
+) -> None:
+    """The gradient of `_values` by compiled code, views side by side, as no two of them share a row of the table."""
+    from .compiled_interpolate import add_gradients
+
+    rows, where, target = table.detach().numpy(), index.numpy(), gradient.numpy()
+    by_normal, by_depth, by_barycentric = (t.flatten(-2).contiguous().numpy() for t in arriving)
+    options = (size, 3 if perspective else 2, 4 if smooth else 1, CANCELLED)
+
+    def work(part: slice) -> None:
+        add_gradients(rows, where, part.start, part.stop, *options, by_normal, by_depth, by_barycentric, target)
+
+    side_by_side(work, _parts(len(where), size[0] * size[1]), workers=torch.get_num_threads())
+
+
+def _parts(count: int, size: int) -> list[slice]:
+    """Runs of ``size`` out of ``count``."""
+    return [slice(i, min(i + size, count)) for i in range(0, count, size)]
 
 
 def _tiles(rows: int, width: int) -> list[slice]:

@@ -101,8 +101,9 @@ def render_normals(
 
     Smooth normals need neighbouring faces that are wound alike; a warning says where they are not.
 
-    On a CPU the visible faces are found by code that numba compiles, where it is installed (``torch_orennayar[fast]``):
-    the same faces, sooner. Compiling takes about five seconds, once.
+    On a CPU numba compiles what finds the visible faces and interpolates on them, where it is installed
+    (``torch_orennayar[fast]``): the same faces, and the same values and gradients to rounding, sooner. Compiling takes
+    about five seconds, once.
 
     Gradients reach vertices, vertex normals and camera through the interpolated normals, depth and barycentric
     coordinates. The visible face, and so the mask, has none: `antialias` adds the gradients of silhouettes. Second

@@ -17,9 +17,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from ..core.optional import available
+from ..core.threads import side_by_side
 from .clipping import GUARD, clip
-from .spans import DEPTH_BITS, FACE_BITS, GRID, ROWS, cover, enter, exporting, least, most, repeat, split
+from .spans import DEPTH_BITS, FACE_BITS, GRID, ROWS, cover, enter, exporting, is_compiled, least, most, repeat, split
 
 MARGIN = 1 << 14
 """Depth keys reserved at both ends of their range, for interpolated depths that rounding moves beyond the corners."""
@@ -201,13 +201,8 @@ class _Boxes(NamedTuple):
 
 def _draw(best: Tensor, faces: _Faces, size: tuple[int, int], cull: str | None) -> None:
     """Enter faces into the keys ``best`` of all views."""
-    if _compiled(best):
-        from .compiled_coverage import enter_faces
-
-        shown = {None: 0, "front": 1, "back": -1}[cull]
-        points = [part.numpy() for part in faces.points]
-        listed = [part.contiguous().numpy() for part in (faces.corner, faces.face, faces.view)]
-        enter_faces(best.numpy(), points[0], points[1], points[2], listed[0], listed[1], listed[2], *size, shown)
+    if is_compiled(best):
+        _enter_compiled(best, faces, size, cull)
         return
     x, y = (t.index_select(0, faces.corner.reshape(-1)).view(3, -1) for t in (faces.points.x, faces.points.y))
     x_low, x_high, y_low, y_high = least(x), most(x), least(y), most(y)
@@ -238,9 +233,21 @@ def _draw(best: Tensor, faces: _Faces, size: tuple[int, int], cull: str | None) 
                 _fill(best, faces, boxes, (x, y), index, size, dtype, cull)
 
 
-def _compiled(best: Tensor) -> bool:
-    """Whether numba's code takes these keys: on a CPU, where numba is installed, and where no graph is traced."""
-    return best.device.type == "cpu" and not torch.compiler.is_compiling() and not exporting() and available("numba")
+def _enter_compiled(best: Tensor, faces: _Faces, size: tuple[int, int], cull: str | None) -> None:
+    """`_draw` by compiled code, bands of rows side by side."""
+    from .compiled_coverage import enter_faces
+
+    keys, shown = best.numpy(), {None: 0, "front": 1, "back": -1}[cull]
+    x, y, z = (part.numpy() for part in faces.points)
+    corner, face, view = (part.contiguous().numpy() for part in (faces.corner, faces.face, faces.view))
+    first, last = (int(t) for t in torch.aminmax(faces.view)) if len(face) else (0, -1)
+    low, high, workers = first * size[0], (last + 1) * size[0], torch.get_num_threads()
+    band = max(1, -(-(high - low) // workers))
+
+    def work(row: int) -> None:
+        enter_faces(keys, x, y, z, corner, face, view, *size, shown, row, min(row + band, high))
+
+    side_by_side(work, range(low, high, band), workers=workers)
 
 
 def _hidden(best: Tensor, faces: _Faces, boxes: _Boxes, chosen: Tensor, size: tuple[int, int]) -> Tensor:

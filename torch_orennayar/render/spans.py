@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from ..core import torch_private
+from ..core.optional import available
 
 GRID = 256.0
 """Steps per pixel to which corners are rounded: 8 subpixel bits, as Direct3D requires of hardware."""
@@ -26,6 +27,11 @@ FRAGMENTS = 1 << 17
 def exporting() -> bool:
     """Whether a graph is being traced, in which everything is computed in one piece."""
     return torch.compiler.is_exporting()
+
+
+def is_compiled(values: Tensor) -> bool:
+    """Whether numba's code takes these values: on a CPU, where numba is installed, and where no graph is traced."""
+    return values.device.type == "cpu" and not torch.compiler.is_compiling() and available("numba")
 
 
 def least(t: Tensor) -> Tensor:
