@@ -156,6 +156,12 @@ def test_what_does_not_show_its_lights_is_refused(ball: tuple[Tensor, Tensor]) -
         find_lights(broken, mask)
     with pytest.raises(RangeError, match="'equal' or 'unknown'"):
         find_lights(images, mask, intensities="same")  # type: ignore[arg-type]
+    off = torch.ones(12, 1, 1, 1).index_fill(0, torch.tensor([3, 7]), 0)
+    with pytest.raises(CaptureError, match=r"none in 2 of 12: 4, 8 \(the first is 1\).*; leave these out"):
+        find_lights(images * off, mask)
+    for value in (0.0, 1.0):  # clipped at full scale all over
+        with pytest.raises(CaptureError, match="none in 12 of 12"):
+            find_lights(torch.full_like(images, value), mask)
 
 
 def ring() -> Tensor:

@@ -42,6 +42,9 @@ hand: .01 to .06 on matt and glossy objects, .07 to .12 on metals and on lamps h
 SLANTED, OUTWARD = 0.7, 0.4
 """Least slant of the inflated outline's normals that are compared with those found, and least mean cosine between their
 directions in the picture; set by hand, right lights give .6 and more."""
+DARK = 0.02
+"""Mean of a photograph of the object, as a share of the median photograph's, up to which its lamp did not shine. Set by
+hand."""
 MIN_PIXELS = 200
 """Fewest pixels of an object whose outline says anything of its shape; set by hand."""
 EQUAL, USUAL, ANY = 0.05, 0.2, 2.0
@@ -160,6 +163,7 @@ def search_lights(images: Tensor, mask: Tensor, intensities: str, valid: Tensor 
             got="NaN or infinity",
             mend="take those pixels out of the mask",
         )
+    _check_lit(grey)
     equal = intensities == "equal"
     try:
         guess, errors = _solve(grey, small, factor(grey, small), EQUAL if equal else ANY)
@@ -237,6 +241,20 @@ def _check_outline(inside: Tensor, count: int) -> None:
             expected="an object whose outline is seen, where the lights are not known",
             got="one that the picture's border cuts, or no mask",
             mend="give a mask (--mask), photograph the whole object, or give the lights (--lights, --chrome)",
+        )
+
+
+def _check_lit(grey: Tensor) -> None:
+    """Refuse photographs whose lamp did not shine, or all of whose samples are clipped."""
+    level = grey.clamp_min(0).mean(0)
+    dark = [str(k + 1) for k in (level <= DARK * level.median()).nonzero()[:, 0].tolist()]
+    if dark:
+        raise CaptureError(
+            "images",
+            expected="light on the object in every photograph, where the lights are not known",
+            got=f"none in {len(dark)} of {grey.shape[1]}: {', '.join(dark[:8])}{' ...' if len(dark) > 8 else ''} "
+            "(the first is 1), or nothing but clipped samples",
+            mend="leave these out",
         )
 
 

@@ -28,6 +28,7 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "near lights": stereo.near_lights,
     "unknown lights": stereo.unknown_lights,
     "unknown lights, few": stereo.unknown_lights_few,
+    "stereo edge cases": stereo.edge_cases,
     "wrong light files": stereo.wrong_light_files,
     "confidence": stereo.confidence,
     "two roughnesses": stereo.two_roughnesses,

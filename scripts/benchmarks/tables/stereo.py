@@ -160,6 +160,20 @@ def wrong_light_files() -> str:
     return f"{section.source}\n\n{table(header, rows)}"
 
 
+def edge_cases() -> str:
+    """What is made of captures that do not determine a surface."""
+    section = load_section("stereo_edge_cases", "cases")
+    rows = [[name, *(_outcome(row[way]) for way in ("known", "unknown"))] for name, row in section.results.items()]
+    return f"{section.source}\n\n{table(['degrees off, or what is said', 'lights known', 'lights unknown'], rows)}"
+
+
+def _outcome(found: dict[str, Any]) -> str:
+    if "refused" in found:
+        return f"refused: {found['refused']}"
+    doubts = "".join(f", `{code}`" for code in found["findings"])
+    return fixed(found["normals"], 2) + doubts
+
+
 def near_lights() -> str:
     """Error of near-light stereo with a wrong distance."""
     section = load_section(STEREO, "near lights")
