@@ -69,8 +69,8 @@ def photometric_stereo(
     report: moved, in the wrong order, or under another light.
 
     On a CPU numba compiles the fits in float32 for ``lambert``, ``vcavity`` and ``auto``, where it is installed
-    (``torch_orennayar[fast]``): the same results to rounding, in a third of the time. Compiling takes about a quarter of
-    a minute, once.
+    (``torch_orennayar[fast]``): the same results to rounding, in a third of the time. Compiling takes about 15
+    seconds, once.
 
     Models with interreflection take albedo in the unit of the images (1 is white), cut to [0, 1]. Not differentiable.
     float64 is solved in float64, all else in float32. The same seed gives the same result on the same machine.
