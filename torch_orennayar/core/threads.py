@@ -8,9 +8,10 @@ the number of threads per calling thread, so neither the process's own number ch
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+import threading
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import lru_cache
 from typing import Any, TypeVar
 
@@ -41,6 +42,26 @@ def _openmp() -> Any:
     return ThreadpoolController().select(user_api="openmp")
 
 
+_local = threading.local()
+
+
+def worker_count() -> int:
+    """How many parts are worked on side by side: as many as torch has threads outside of `small_operations`."""
+    return getattr(_local, "workers", None) or torch.get_num_threads()
+
+
+@contextmanager
+def small_operations() -> Iterator[None]:
+    """Run torch's operations of this thread on itself alone, while `side_by_side` keeps its workers."""
+    before = getattr(_local, "workers", None)
+    _local.workers = worker_count()
+    try:
+        with one_thread():
+            yield
+    finally:
+        _local.workers = before
+
+
 def side_by_side(
     work: Callable[[Part], Result], parts: Sequence[Part], *, workers: int, progress: str = ""
 ) -> list[Result]:
@@ -52,10 +73,11 @@ def side_by_side(
         workers: how many run at once.
         progress: label of the progress bar; empty for none.
     """
+    inference = torch.is_inference_mode_enabled()  # threads do not inherit it
 
-    @torch.no_grad()  # threads do not inherit it
     def quietly(part: Part) -> Result:
-        return work(part)
+        with torch.inference_mode(inference), torch.no_grad():
+            return work(part)
 
     pool = _pool(os.getpid(), workers)
     futures = [pool.submit(quietly, part) for part in parts]
@@ -67,6 +89,23 @@ def side_by_side(
             future.cancel()
         wait(futures)
         raise
+
+
+def in_order(
+    work: Callable[[Part], Result], parts: Sequence[Part], device: torch.device
+) -> Iterator[tuple[Part, Result]]:
+    """Each part with ``work`` on it, in order: on a processor as many side by side as torch has threads.
+
+    Only so many results are held at once. What is added up in this order does not depend on the number of threads.
+    """
+    together = worker_count() if device.type == "cpu" else 1
+    if len(parts) == 1 or together == 1:
+        for part in parts:
+            yield part, work(part)
+        return
+    for first in range(0, len(parts), together):
+        some = parts[first : first + together]
+        yield from zip(some, side_by_side(work, some, workers=together), strict=True)
 
 
 @lru_cache(4)

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from ..core.threads import side_by_side
+from ..core.threads import side_by_side, worker_count
 from ..geometry.mesh import unit_or_zero
 from .spans import exporting, is_compiled
 
@@ -296,7 +296,7 @@ def _fill(
     def work(part: slice) -> None:
         fill_maps(rows, where, part.start, part.stop, *options, normal, depth[0], barycentric)
 
-    side_by_side(work, _parts(len(where), TILE), workers=torch.get_num_threads())
+    side_by_side(work, _parts(len(where), TILE), workers=worker_count())
 
 
 def _add_gradients(
@@ -318,7 +318,7 @@ def _add_gradients(
     def work(part: slice) -> None:
         add_gradients(rows, where, part.start, part.stop, *options, by_normal, by_depth, by_barycentric, target)
 
-    side_by_side(work, _parts(len(where), size[0] * size[1]), workers=torch.get_num_threads())
+    side_by_side(work, _parts(len(where), size[0] * size[1]), workers=worker_count())
 
 
 def _parts(count: int, size: int) -> list[slice]:

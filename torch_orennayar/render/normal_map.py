@@ -11,6 +11,7 @@ from torch import Tensor, nn
 
 from ..core.checks import check_floating
 from ..core.errors import RangeError, ShapeError
+from ..core.threads import small_operations
 from ..core.warn import warn
 from ..geometry.camera import Camera
 from ..geometry.mesh import check_mesh, sum_normals, unit_or_zero, warn_of_winding
@@ -142,7 +143,8 @@ def render_normals(
     check_size(size)
     if smooth and vertex_normals is None:
         warn_of_winding(faces)
-    seen = rasterise(world, faces, camera, size, smooth=smooth, vertex_normals=vertex_normals, cull=cull)
+    with small_operations():
+        seen = rasterise(world, faces, camera, size, smooth=smooth, vertex_normals=vertex_normals, cull=cull)
     if camera.is_perspective and not bool(seen.mask.any()):
         _warn_of_near_plane(world, camera)
     return seen

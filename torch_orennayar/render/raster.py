@@ -17,7 +17,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from ..core.threads import side_by_side
+from ..core.threads import side_by_side, worker_count
 from .clipping import GUARD, clip
 from .spans import DEPTH_BITS, FACE_BITS, GRID, ROWS, cover, enter, exporting, is_compiled, least, most, repeat, split
 
@@ -241,7 +241,7 @@ def _enter_compiled(best: Tensor, faces: _Faces, size: tuple[int, int], cull: st
     x, y, z = (part.numpy() for part in faces.points)
     corner, face, view = (part.contiguous().numpy() for part in (faces.corner, faces.face, faces.view))
     first, last = (int(t) for t in torch.aminmax(faces.view)) if len(face) else (0, -1)
-    low, high, workers = first * size[0], (last + 1) * size[0], torch.get_num_threads()
+    low, high, workers = first * size[0], (last + 1) * size[0], worker_count()
     band = max(1, -(-(high - low) // workers))
 
     def work(row: int) -> None:

@@ -17,14 +17,18 @@ import torch
 from torch import Tensor
 
 from ..core.checks import broadcast_shape
+from ..core.threads import in_order
 from ..reflectance.models import Model, value_and_vjp
 from .evaluate import facing_both, shade_whole, transformed
 from .inputs import ShadingInputs, map_inputs
 from .precision import cast, finite_or_zero, narrow, smallest_cosine, working_dtype
 from .vectors import dot
 
-TILE = 1 << 16
-"""Elements of a tile on a processor, so that the temporaries of one operation after the other stay in its cache."""
+TILE = 1 << 18
+"""Elements of a tile on a processor, which bounds the memory for temporaries. Set by hand: threads that work on smaller
+tiles wait for each other's Python."""
+TILE_LEAST = 1 << 14
+"""Elements of a picture's half from which it is shaded in two tiles or more, so that two threads can; set by hand."""
 TILE_ACCELERATOR = 1 << 24
 """Elements of a tile on an accelerator: bounds the memory for temporaries."""
 
@@ -78,14 +82,17 @@ def _forward(model: Model, inputs: ShadingInputs, axis: int, dtype: torch.dtype)
         return shade_whole(model, inputs, axis, dtype)
     shape = _shape(inputs, axis)
     result = inputs.normal.new_empty(shape, dtype=dtype)
-    for index in tile_indices(shape, axis, result.device):
+    on_processor = result.device.type == "cpu"
+
+    def work(index: _Index) -> None:
         tile = _cut_inputs(inputs, index)
-        values = None
-        if result.device.type == "cpu":
-            values = _forward_tile(model, tile, axis, working_dtype(dtype))
+        values = _forward_tile(model, tile, axis, working_dtype(dtype)) if on_processor else None
         if values is None or not _all_finite((values,)):
             values = shade_whole(model, tile, axis, dtype)
         result[index].copy_(values)
+
+    for _ in in_order(work, list(tile_indices(shape, axis, result.device)), result.device):
+        pass
     return result
 
 
@@ -127,12 +134,14 @@ def _backward(model: Model, inputs: ShadingInputs, axis: int, gradient: Tensor, 
         else torch.zeros_like(t, dtype=working_dtype(t.dtype))
         for t, wanted, alone in zip(inputs, needed, own, strict=True)
     ]
-    for index in tile_indices(shape, axis, gradient.device):
+    exact = gradient.device.type != "cpu" or torch.is_anomaly_enabled()
+
+    def work(index: _Index) -> _Gradients:
         arguments = model, _cut_inputs(inputs, index), axis, gradient[index], needed
-        exact = gradient.device.type != "cpu" or torch.is_anomaly_enabled()
         parts = _backward_tile(*arguments, exact=exact)
-        if not exact and not _all_finite(parts):
-            parts = _backward_tile(*arguments, exact=True)
+        return parts if exact or _all_finite(parts) else _backward_tile(*arguments, exact=True)
+
+    for index, parts in in_order(work, list(tile_indices(shape, axis, gradient.device)), gradient.device):
         for total, part, alone in zip(totals, parts, own, strict=True):
             if total is not None and part is not None:
                 place = _cut(total, index)
@@ -236,7 +245,7 @@ def _shape(inputs: ShadingInputs, axis: int) -> tuple[int, ...]:
 
 def tile_indices(shape: tuple[int, ...], axis: int, device: torch.device) -> Iterator[_Index]:
     """Indices that cut ``shape`` into tiles of at most about `TILE` elements, never along ``axis``."""
-    limit = TILE if device.type == "cpu" else TILE_ACCELERATOR
+    limit = min(TILE, max(TILE_LEAST, math.prod(shape) // 2)) if device.type == "cpu" else TILE_ACCELERATOR
     steps = list(shape)
     for d in range(len(shape)):
         if d - len(shape) != axis:

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from ..core.optional import available
-from ..core.threads import side_by_side
+from ..core.threads import side_by_side, worker_count
 from .gauss_newton import Estimate, Quality, gauss_newton
 from .linear_systems import camera_facing, weighted_lambert
 from .material import LightDirections, Material, cosines, respond
@@ -100,7 +100,7 @@ def map_chunks(work: Callable[[slice], T], grey: Tensor, progress: str = "") -> 
 
 
 def _workers(grey: Tensor) -> int:
-    return torch.get_num_threads() if grey.device.type == "cpu" else 1
+    return worker_count() if grey.device.type == "cpu" else 1
 
 
 def fit(

@@ -12,6 +12,7 @@ from ..core.checks import check_floating
 from ..core.defaults import independent_of_defaults
 from ..core.errors import CaptureError, ShapeError
 from ..core.findings import Finding
+from ..core.threads import small_operations
 from ..reconstruction import Reconstruction, stack
 from ..reflectance.models import get_model
 from .broken_frames import find_broken_frames
@@ -35,6 +36,7 @@ WHITE = 1.05
 
 
 @torch.no_grad()
+@small_operations()
 @independent_of_defaults
 def photometric_stereo(
     images: Tensor,

@@ -14,6 +14,7 @@ from torch.utils.data import DataLoader, Dataset, IterableDataset, get_worker_in
 from ..core.defaults import independent_of_defaults
 from ..core.errors import RangeError, ShapeError
 from ..core.progress import track
+from ..core.threads import small_operations
 from ..geometry.mesh import check_mesh
 from ..geometry.mesh_files import Mesh
 from .draw import Draw
@@ -197,6 +198,7 @@ class SyntheticCaptures(IterableDataset[Sample]):
 
     @torch.no_grad()
     @independent_of_defaults
+    @small_operations()
     def sample(self, index: int) -> Sample:
         """Capture number ``index``."""
         draw = self._draw(self.kind, index)
@@ -233,6 +235,7 @@ class SyntheticCaptures(IterableDataset[Sample]):
 
     @torch.no_grad()
     @independent_of_defaults
+    @small_operations()
     def render_scene(self, number: int) -> RenderedScene:
         """Scene ``number``, rendered anew."""
         return draw_scene(self._draw("scene", number), min(self.lights[1], SCENE_LIGHTS), self.meshes)
