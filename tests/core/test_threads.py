@@ -7,7 +7,8 @@ from collections.abc import Iterator
 import pytest
 import torch
 
-from torch_orennayar.core.threads import one_thread, side_by_side
+import torch_orennayar as ton
+from torch_orennayar.core.threads import in_order, one_thread, side_by_side, small_operations, worker_count
 
 
 @pytest.fixture
@@ -52,3 +53,47 @@ def test_the_first_error_ends_the_work() -> None:
     with pytest.raises(ValueError, match="part 0"):
         side_by_side(work, list(range(100)), workers=1)
     assert len(begun) < 100
+
+
+def test_small_operations_keep_the_workers(four_threads: int) -> None:
+    with small_operations(), small_operations():
+        assert torch.get_num_threads() == 1
+        assert worker_count() == four_threads
+    assert torch.get_num_threads() == worker_count() == four_threads
+    with pytest.raises(ValueError, match="within"), small_operations():
+        raise ValueError("within")
+    assert torch.get_num_threads() == worker_count() == four_threads
+
+
+def test_results_come_in_order(four_threads: int) -> None:
+    begun: list[int] = []
+
+    def work(part: int) -> int:
+        begun.append(part)
+        time.sleep(0.01 * (3 - part % 4))
+        return part * part
+
+    found = in_order(work, range(10), torch.device("cpu"))
+    assert next(found) == (0, 0)
+    assert len(begun) == four_threads  # only so many are held at once
+    assert list(found) == [(n, n * n) for n in range(1, 10)]
+    with pytest.raises(ValueError, match="part 3"):
+        list(in_order(fail_at_three, range(10), torch.device("cpu")))
+
+
+def fail_at_three(part: int) -> None:
+    if part == 3:
+        raise ValueError("part 3")
+
+
+@pytest.mark.usefixtures("four_threads")
+def test_inference_mode_reaches_the_workers() -> None:
+    """Values made in inference mode can be changed in it alone, so that chunks and tiles must be in it too."""
+    normal = torch.nn.functional.normalize(torch.rand(1, 3, 200, 200) + torch.tensor([0, 0, 1.0]).view(3, 1, 1), dim=1)
+    lights = torch.nn.functional.normalize(torch.rand(1, 4, 3) + torch.tensor([0, 0, 1.0]), dim=2)
+    plain = ton.OrenNayar("vcavity")(normal, lights, roughness=0.4)
+    with torch.inference_mode():
+        shaded = ton.OrenNayar("vcavity")(normal, lights, roughness=0.4)
+        found = ton.photometric_stereo(shaded[0, :, :, :40, :40], lights[0], model="lambert")
+    assert torch.equal(shaded, plain)
+    assert (found.normal - normal[0, :, :40, :40]).abs().max() < 0.2

@@ -5,8 +5,8 @@ from __future__ import annotations
 import sys
 import warnings
 
-_SKIPPED_PACKAGES = ("torch_orennayar", "torch")
-"""Top-level packages whose frames are not the user's."""
+_SKIPPED_PACKAGES = ("torch_orennayar", "torch", "contextlib")
+"""Top-level packages whose frames are not the user's; `contextlib` holds the frame of a decorator."""
 
 
 def warn(message: str) -> None:

@@ -246,7 +246,9 @@ class _Solver:
         if count <= SMALL:
             return np.asarray(scipy.sparse.linalg.spsolve(system.tocsc(), target)).reshape(count)
         if self.preconditioner is None or self.steps > MOST_STEPS:
-            self.preconditioner = pyamg.ruge_stuben_solver(system, max_coarse=50, coarse_solver="splu").aspreconditioner()
+            self.preconditioner = pyamg.ruge_stuben_solver(
+                system, max_coarse=50, coarse_solver="splu"
+            ).aspreconditioner()
         return self._conjugate_gradients(system, target, start)
 
     def _conjugate_gradients(self, system: Any, target: Floats, start: Floats) -> Floats:
