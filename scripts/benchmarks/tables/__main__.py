@@ -68,6 +68,7 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "renderer accuracy": rendering.accuracy,
     "renderer steps": rendering.steps,
     "renderer memory": rendering.memory,
+    "busy": rendering.busy,
 }
 """What makes each table, by the name in the marker."""
 MARKER = re.compile(r"(<!-- table: (?P<name>[^>]+?) -->\n).*?(<!-- end -->)", re.DOTALL)

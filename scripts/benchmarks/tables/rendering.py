@@ -77,3 +77,19 @@ def _numbers(results: Mapping[str, object], prefix: str = "") -> Iterator[tuple[
             yield from _numbers(value, whole)
         elif isinstance(value, (int, float)):
             yield whole, f"{value:,}" if isinstance(value, int) else short(value)
+
+
+def busy() -> str:
+    """Slow-down beside busy processes."""
+    section = load_section("busy", "slow-down")
+    found = section.results
+    alone, others = found["milliseconds"]["0"], [o for o in found["milliseconds"] if o != "0"]
+    rows = [
+        [f"`{name}`", short(ms, 3), *(f"{found['milliseconds'][o][name] / ms:.1f} x" for o in others)]
+        for name, ms in alone.items()
+    ]
+    header = [
+        f"{found['threads']} threads, {found['cores']} cores", "milliseconds alone",
+        *(f"beside {o} busy processes (fair: {found['fair'][o]:.1f} x)" for o in others),
+    ]  # fmt: skip
+    return f"{section.source}\n\n{table(header, rows)}"
