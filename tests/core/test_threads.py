@@ -103,3 +103,11 @@ def test_inference_mode_reaches_the_workers() -> None:
     with torch.inference_mode():
         inferred = compute()
     assert all(torch.equal(a, b) for a, b in zip(inferred, plain, strict=True))
+
+
+def test_work_side_by_side_may_do_so_itself(four_threads: int) -> None:
+    def work(part: int) -> list[int]:
+        return side_by_side(lambda n: n + part, [1, 2, 3], workers=worker_count())
+
+    assert side_by_side(work, [10, 20], workers=four_threads) == [[11, 12, 13], [21, 22, 23]]
+    assert side_by_side(work, [10, 20], workers=1) == [[11, 12, 13], [21, 22, 23]]

@@ -68,7 +68,7 @@ def side_by_side(
     """``work`` on every part, without gradients, each on one thread; stops at the first error or Ctrl-C.
 
     Args:
-        work: a function of one part, which does not work side by side itself.
+        work: a function of one part.
         parts: what it is called with, in the order of the results.
         workers: how many run at once.
         progress: label of the progress bar; empty for none.
@@ -79,6 +79,9 @@ def side_by_side(
         with torch.inference_mode(inference), torch.no_grad():
             return work(part)
 
+    if workers == 1:
+        with small_operations():
+            return [quietly(part) for part in (track(parts, progress) if progress else parts)]
     pool = _pool(os.getpid(), workers)
     futures = [pool.submit(quietly, part) for part in parts]
     done = (future.result() for future in futures)

@@ -37,7 +37,8 @@ Start = Callable[[Tensor, LightDirections], tuple[Tensor, Tensor]]
 """Normal and albedo to begin with, from observations over their mean."""
 
 CHUNK = 300_000
-"""Observations that are solved together on a processor, so that temporaries stay in its cache; set by hand.
+"""Observations that are solved together on a processor, few enough for its cache, and so many that Python's overhead
+does not count; set by hand.
 
 Chunks run side by side, each on one thread: on a busy machine that is several times faster than one chunk after the
 other, where every operation waits for all threads.
