@@ -35,6 +35,23 @@ MARKS = {"right": "", "wrong": "w", "not finite": "N", "refused": "r"}
 """Letters of the verdicts, so that the map can be read without colours."""
 
 
+CROWDED = 60, 12
+"""Pixels across and down within which two names would lie on each other."""
+
+
+def _name_ends(axis: Axes) -> None:
+    """Write each line's name at its end, above it, or below it where that of another line is there."""
+    named: list[Any] = []
+    ends = [(float(np.asarray(x)[-1]), float(np.asarray(y)[-1])) for x, y in (line.get_data() for line in axis.lines)]
+    for line, end in sorted(zip(axis.lines, ends, strict=True), key=lambda pair: -pair[1][1]):
+        at = axis.transData.transform(end)
+        crowded = any(abs(at[0] - x) < CROWDED[0] and abs(at[1] - y) < CROWDED[1] for x, y in named)
+        place = (5, -11) if crowded else (5, 3)
+        name = str(line.get_label())
+        axis.annotate(name, end, place, textcoords="offset points", fontsize=9, color=line.get_color())
+        named.append(at)
+
+
 def draw_lines(
     curves: Mapping[str, Mapping[str, float]], axes: tuple[str, str], *, log: str = "", title: str = ""
 ) -> Figure:
@@ -43,12 +60,12 @@ def draw_lines(
     axis = figure.subplots()
     for name, curve in curves.items():
         x, y = [float(k) for k in curve], list(curve.values())
-        (line,) = axis.plot(x, y, marker="o", markersize=4)
-        axis.annotate(name, (x[-1], y[-1]), (5, 3), textcoords="offset points", fontsize=9, color=line.get_color())
+        axis.plot(x, y, marker="o", markersize=4, label=name)
     if "x" in log:
         axis.set_xscale("log")
     if "y" in log:
         axis.set_yscale("log")
+    _name_ends(axis)
     if log == "xy":  # predicted equals measured
         low, high = axis.get_xlim()
         axis.plot((low, high), (low, high), color="#999", linewidth=0.8, zorder=0)
