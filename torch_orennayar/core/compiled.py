@@ -1,4 +1,8 @@
-"""How numba compiles this package's inner loops over float32 numbers; imported only where it is installed."""
+"""How numba compiles this package's inner loops over float32 numbers; imported only where it is installed.
+
+The machine code on disk belongs to the file of a function, not to those of the functions that it calls: after a change
+to one of these, remove ``__pycache__/*.nbi``.
+"""
 
 from __future__ import annotations
 
