@@ -30,6 +30,16 @@ def _weights(row: Numbers, x: float, y: float, planes: int) -> tuple[float, floa
     return first, second, max(first, 0.0) / sum_or_one, max(second, 0.0) / sum_or_one, divisor
 
 
+@inlined
+def _between_corners(row: Numbers, at: int, w0: float, w1: float) -> tuple[float, float, float]:
+    """The normal between those of the corners, before it is normalised."""
+    return (
+        row[at + 1] + w0 * row[at + 5] + w1 * row[at + 9],
+        row[at + 2] + w0 * row[at + 6] + w1 * row[at + 10],
+        row[at + 3] + w0 * row[at + 7] + w1 * row[at + 11],
+    )
+
+
 @compiled
 def fill_maps(
     table: Numbers,
@@ -74,9 +84,7 @@ def fill_maps(
         depth[p] = row[at] + w0 * row[at + width] + w1 * row[at + 2 * width]
         length, n0, n1, n2 = 0.0, 0.0, 0.0, 0.0
         if width == 4:
-            n0 = row[at + 1] + w0 * row[at + 5] + w1 * row[at + 9]
-            n1 = row[at + 2] + w0 * row[at + 6] + w1 * row[at + 10]
-            n2 = row[at + 3] + w0 * row[at + 7] + w1 * row[at + 11]
+            n0, n1, n2 = _between_corners(row, at, w0, w1)
             length = math.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
         if length < cancelled:  # also without normals
             for axis in range(3):
@@ -90,9 +98,7 @@ def _unnormalised(
     row: Numbers, at: int, w0: float, w1: float, cancelled: float, g0: float, g1: float, g2: float
 ) -> tuple[bool, float, float, float]:
     """Gradient with respect to a normal before it is normalised, unless it is too short for that."""
-    n0 = row[at + 1] + w0 * row[at + 5] + w1 * row[at + 9]
-    n1 = row[at + 2] + w0 * row[at + 6] + w1 * row[at + 10]
-    n2 = row[at + 3] + w0 * row[at + 7] + w1 * row[at + 11]
+    n0, n1, n2 = _between_corners(row, at, w0, w1)
     square = n0 * n0 + n1 * n1 + n2 * n2
     over = 1.0 / math.sqrt(max(square, cancelled * cancelled))
     along = (n0 * g0 + n1 * g1 + n2 * g2) * (over * over)

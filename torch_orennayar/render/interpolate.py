@@ -7,7 +7,7 @@ the rounding takes the nearest point of the face.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -244,7 +244,9 @@ class _Tiles(torch.autograd.Function):
         rows = index.shape[0] // size[1]
         normal, depth, barycentric = (table.new_empty(k, rows, size[1]) for k in (3, 1, 3))
         if is_compiled(table):
-            _fill(table, index, size, smooth, perspective, (normal, depth, barycentric))
+            from .compiled_interpolate import fill_maps
+
+            _run_compiled(fill_maps, table, index, ctx.options, TILE, (normal, depth[0], barycentric))
             return normal, depth[0], barycentric
         space = table.new_empty(min(max(TILE, size[1]), index.shape[0]), table.shape[1])
         for part in _tiles(rows, size[1]):
@@ -266,7 +268,10 @@ class _Tiles(torch.autograd.Function):
             return whole, None, None, None, None
         gradient = torch.zeros_like(table)
         if is_compiled(table):
-            _add_gradients(table, index, size, smooth, perspective, arriving, gradient)
+            from .compiled_interpolate import add_gradients
+
+            # Views side by side, as no two of them share a row of the table.
+            _run_compiled(add_gradients, table, index, ctx.options, size[0] * size[1], arriving, gradient)
             return gradient, None, None, None, None
         for part in _tiles(rows, size[1]):
             here = index[part.start * size[1] : part.stop * size[1]]
@@ -278,52 +283,35 @@ class _Tiles(torch.autograd.Function):
         return gradient, None, None, None, None
 
 
-def _fill(
+def _run_compiled(
+    kernel: Callable[..., None],
     table: Tensor,
     index: Tensor,
-    size: tuple[int, int],
-    smooth: bool,
-    perspective: bool,
-    maps: tuple[Tensor, Tensor, Tensor],
+    options: tuple[tuple[int, int], bool, bool],
+    step: int,
+    maps: Sequence[Tensor],
+    *others: Tensor,
 ) -> None:
-    """`_values` of all pixels by compiled code, bands of them side by side."""
-    from .compiled_interpolate import fill_maps
+    """Call compiled code for so many pixels at a time, side by side.
 
-    rows, where = table.detach().numpy(), index.numpy()
-    normal, depth, barycentric = (t.flatten(-2).numpy() for t in maps)
-    options = (size, 3 if perspective else 2, 4 if smooth else 1, CANCELLED)
+    Args:
+        kernel: a function of `compiled_interpolate`.
+        table: as in `_Tiles`, as are the next two.
+        index: row of every pixel.
+        options: size, smooth, perspective.
+        step: number of pixels.
+        maps: normal, depth and barycentric weights, or gradients with respect to them.
+        others: what else the function takes.
+    """
+    size, smooth, perspective = options
+    rows, where, count = table.detach().numpy(), index.numpy(), len(index)
+    numbers = (size, 3 if perspective else 2, 4 if smooth else 1, CANCELLED)
+    arrays = [*(t.flatten(-2).contiguous().numpy() for t in maps), *(t.numpy() for t in others)]
 
-    def work(part: slice) -> None:
-        fill_maps(rows, where, part.start, part.stop, *options, normal, depth[0], barycentric)
+    def work(first: int) -> None:
+        kernel(rows, where, first, min(first + step, count), *numbers, *arrays)
 
-    side_by_side(work, _parts(len(where), TILE), workers=worker_count())
-
-
-def _add_gradients(
-    table: Tensor,
-    index: Tensor,
-    size: tuple[int, int],
-    smooth: bool,
-    perspective: bool,
-    arriving: Sequence[Tensor],
-    gradient: Tensor,
-) -> None:
-    """The gradient of `_values` by compiled code, views side by side, as no two of them share a row of the table."""
-    from .compiled_interpolate import add_gradients
-
-    rows, where, target = table.detach().numpy(), index.numpy(), gradient.numpy()
-    by_normal, by_depth, by_barycentric = (t.flatten(-2).contiguous().numpy() for t in arriving)
-    options = (size, 3 if perspective else 2, 4 if smooth else 1, CANCELLED)
-
-    def work(part: slice) -> None:
-        add_gradients(rows, where, part.start, part.stop, *options, by_normal, by_depth, by_barycentric, target)
-
-    side_by_side(work, _parts(len(where), size[0] * size[1]), workers=worker_count())
-
-
-def _parts(count: int, size: int) -> list[slice]:
-    """Runs of ``size`` out of ``count``."""
-    return [slice(i, min(i + size, count)) for i in range(0, count, size)]
+    side_by_side(work, range(0, count, step), workers=worker_count())
 
 
 def _tiles(rows: int, width: int) -> list[slice]:
