@@ -57,11 +57,12 @@ def weighted_lambert(grey: Tensor, light: Tensor, weight: Tensor) -> Tensor:
         light: (K, 3) or (P, K, 3), unit.
         weight: (P, K).
     """
-    outer = (light[..., :, None] * light[..., None, :]).flatten(-2)
-    matrix = (weight[:, None] @ outer)[:, 0].T.reshape(3, 3, -1)
-    ridge = 1e-6 * (matrix[0, 0] + matrix[1, 1] + matrix[2, 2])
-    rows = [[matrix[i, j] + ridge if i == j else matrix[i, j] for j in range(3)] for i in range(3)]
-    return torch.stack(solve_symmetric(rows, list(((weight * grey)[:, None] @ light)[:, 0].T)), 1)
+    # Sums row by row: a product of matrices rounds differently with the pixels that are solved together.
+    axes = light.unbind(-1)
+    matrix = [[(weight * (a * b)).sum(1) for b in axes] for a in axes]
+    ridge = 1e-6 * (matrix[0][0] + matrix[1][1] + matrix[2][2])
+    rows = [[matrix[i][j] + ridge if i == j else matrix[i][j] for j in range(3)] for i in range(3)]
+    return torch.stack(solve_symmetric(rows, [(weight * grey * axis).sum(1) for axis in axes]), 1)
 
 
 def camera_facing(vector: Tensor) -> Tensor:
