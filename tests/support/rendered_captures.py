@@ -191,6 +191,16 @@ def patched_capture(left: float, right: float, *, lights: int = 36, size: int = 
     return Rendered(images.clamp_min(0) * mask, directions, mask & (normal[2:] > LEAST_FACING), normal), roughness
 
 
+def halves_capture(left: Surface, right: Surface, *, lights: int = 36, size: int = 72) -> tuple[Rendered, Tensor]:
+    """The bumpy object with one surface on its left half and another on its right, and which is where (1, H, W)."""
+    seen = render_normals(*objects()["bumps"], Camera.orthographic(1.02), (size, size))
+    directions, normal, mask = spiral_lights(lights, math.radians(50)), seen.normal[0], seen.mask[0]
+    material = (torch.arange(size) >= size // 2).long().expand(1, size, size)
+    images = torch.where(material == 0, shade(left, normal, directions), shade(right, normal, directions))
+    images = images + 0.003 * torch.randn(images.shape, generator=torch.Generator().manual_seed(0))
+    return Rendered(images.clamp_min(0) * mask, directions, mask & (normal[2:] > LEAST_FACING), normal), material
+
+
 @dataclass(frozen=True)
 class NearLit:
     """Images (K, 1, H, W) under near lights at (K, 3), the object's mean distance, camera, mask and true normals."""
@@ -220,8 +230,8 @@ def near_capture(mesh: tuple[Tensor, Tensor], *, lights: int = 24, size: int = 9
     return NearLit(images, positions, distance, camera, seen.mask[0], seen.normal[0])
 
 
-def fit_surfaces(file: Path) -> dict[str, Surface]:
-    """The parameters nearest to each measured material by relative error of grey values."""
+def fit_surfaces(file: Path, which: slice = slice(None)) -> dict[str, Surface]:
+    """The parameters nearest to each measured material, or some of them, by relative error of grey values."""
     from scipy.optimize import nnls
 
     table = np.load(file)
@@ -232,7 +242,7 @@ def fit_surfaces(file: Path) -> dict[str, Surface]:
     widths = (0.05, 0.1, 0.15, 0.2, 0.3, 0.45, 0.7)
     lobes = {w: (microfacet(ci, co, lv, w, 1.0)).numpy() for w in widths}
     found = {}
-    for name, values in zip(table["name"], table["f"], strict=True):
+    for name, values in zip(table["name"][which], table["f"][which], strict=True):
         target = values.mean(1) * math.pi
         albedo = float(min(1.0, np.median(target)))
         weight = 1 / (target + 0.2 * np.median(target))
