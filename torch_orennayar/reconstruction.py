@@ -44,12 +44,16 @@ class Reconstruction:
         falloff: exponent k of Minnaert's law, the diffuse part times ``(n.l n.v)**(k - 1)``; 1 for none.
         roughness_error: standard error of the roughness in radians (of a map: of a pixel's), by the fit's curvature and
             by how far parts of the pixels differ; 0 without a roughness, infinite where the photographs do not
-            determine it (few lights, or all near the view).
+            determine it (few lights, or all near the view), and of several materials.
         depth: (1, H, W); None from photometric stereo under distant lights, where `integrate_normals` gives it.
         ambient: (1, H, W) light from all around as a share of the light, given or estimated, 0 outside the mask;
             `shade` leaves it out. None from photometric stereo.
         lights: (K, 3) unit directions that photometric stereo found where none were given, or refined; else None.
         intensities: (K, 1) or (K, C) brightness of the lights by which it divided the images; None where that was 1.
+        material: (1, H, W) int64 index of each pixel's material where photometric stereo found several, -1 outside the
+            mask; the finding ``materials`` describes them. ``model`` is then ``"lambert"`` only if all are,
+            ``exponents`` are those of all, and ``falloff`` is that of most pixels. None for one material.
+        falloffs: exponent k of each material; empty for one.
     """
 
     normal: Tensor
@@ -68,6 +72,8 @@ class Reconstruction:
     ambient: Tensor | None = None
     lights: Tensor | None = None
     intensities: Tensor | None = None
+    material: Tensor | None = None
+    falloffs: tuple[float, ...] = ()
 
     def shade(self, lights: Tensor) -> Tensor:
         """Relight the result: what it shows under other distant lights, seen from the front.
@@ -94,7 +100,10 @@ class Reconstruction:
             image = layer(self.normal[None], light[None], albedo=self.albedo[None], roughness=self.roughness[None])[0]
             ci = torch.einsum("chw,c->hw", self.normal, light).clamp_min(0)[None]
             co = self.normal[2:].clamp_min(0)
-            if self.falloff != 1:
+            if self.material is not None:
+                falloff = image.new_tensor((*self.falloffs, 1.0))[self.material]  # the last is that outside the mask
+                image = image * (ci * co) ** (falloff - 1)
+            elif self.falloff != 1:
                 image = image * (ci * co) ** (self.falloff - 1)
             if self.specular is not None:
                 for strength, exponent in zip(self.specular, self.exponents, strict=True):
@@ -115,6 +124,7 @@ class BatchReconstruction(Reconstruction):
         exponents: one tuple per capture.
         falloff: one exponent per capture.
         roughness_error: radians, one per capture.
+        falloffs: exponents of each capture's materials; ``material`` is None unless all captures hold several.
 
     Example:
         >>> import torch, torch_orennayar as ton
@@ -132,6 +142,7 @@ class BatchReconstruction(Reconstruction):
     exponents: tuple[tuple[int, ...], ...] = ()  # type: ignore[assignment]
     falloff: tuple[float, ...] = ()  # type: ignore[assignment]
     roughness_error: tuple[float, ...] = ()  # type: ignore[assignment]
+    falloffs: tuple[tuple[float, ...], ...] = ()  # type: ignore[assignment]
 
     def shade(self, lights: Tensor) -> NoReturn:
         """A batch cannot be relit as one.
@@ -177,6 +188,8 @@ def stack(found: Sequence[Reconstruction]) -> BatchReconstruction:
         ambient=_stack_known([r.ambient for r in found]),
         lights=_stack_known([r.lights for r in found]),
         intensities=_stack_known([r.intensities for r in found]),
+        material=_stack_known([r.material for r in found]),
+        falloffs=tuple(r.falloffs for r in found),
     )
 
 

@@ -42,7 +42,7 @@ def test_hollows_determine_the_albedo_and_then_their_shape(
     found = photometric_stereo(scene.images, scene.lights, scene.mask)
     assert finding in found.report
     kept = Finding("not looked for", "interreflection-kept")
-    monkeypatch.setattr(solver, "choose_interreflected_light", lambda *given: (None, kept))
+    monkeypatch.setattr(solver, "choose_interreflected_light", lambda *given, **options: (None, kept))
     without = photometric_stereo(scene.images, scene.lights, scene.mask)
     errors = [angular_error(f.normal, scene.normal, scene.mask).summary()["mean"] for f in (found, without)]
     assert errors[0] < 0.9 * errors[1]

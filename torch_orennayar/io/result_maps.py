@@ -37,6 +37,7 @@ class ResultMaps:
         step: depth and mesh take every ``step``-th pixel.
         display_albedo: albedo over ``display_top``, cut to [0, 1]: the exposure of a capture is seldom known.
         display_top: the 99th percentile of the albedo.
+        material: (1, H, W) as in `Reconstruction`, or None.
     """
 
     normal: Tensor
@@ -51,6 +52,7 @@ class ResultMaps:
     step: int
     display_albedo: Tensor
     display_top: float
+    material: Tensor | None = None
 
     @staticmethod
     def of(found: Reconstruction, capture: Capture) -> ResultMaps:
@@ -78,6 +80,7 @@ class ResultMaps:
             step=step,
             display_albedo=display_albedo,
             display_top=top,
+            material=None if found.material is None else found.material.cpu(),
         )
 
     def arrays(self) -> dict[str, Tensor]:
@@ -88,6 +91,8 @@ class ResultMaps:
             arrays["error"] = self.error.as_subclass(torch.Tensor)
         if self.specular is not None:
             arrays["specular"] = self.specular
+        if self.material is not None:
+            arrays["material"] = self.material
         return arrays
 
     @property

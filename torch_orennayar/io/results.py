@@ -30,8 +30,8 @@ from .textures import perceptual_roughness, write_textures
 from .verdict import verdict
 
 OPTIONAL = {
-    "ball.png", "error.npy", "error.png", "relight.gif", "report.html", "roughness_map.png", "scores.png",
-    "specular.npy", "specular.png", "turntable.gif",
+    "ball.png", "error.npy", "error.png", "material.npy", "relight.gif", "report.html", "roughness_map.png",
+    "scores.png", "specular.npy", "specular.png", "turntable.gif",
 }  # fmt: skip
 """Files that not every reconstruction has; those of an earlier run into the same folder are removed."""
 RECONSTRUCTION_FILES = OPTIONAL | {
@@ -76,8 +76,8 @@ def write_reconstruction(
     """Write every result of one capture: first what programs read, then what people look at, each together or not.
 
     The maps as ``.npy`` (`ResultMaps.arrays`: normals, linear albedo, roughness in radians, residual, confidence, depth
-    in pixels toward the viewer, and highlights and true error where there are any), `write_textures`, ``mesh.glb``
-    (`write_glb`), ``mesh.ply`` for measuring, ``result.json`` (`ResultNumbers`). Then figures with scales,
+    in pixels toward the viewer, and highlights, materials and true error where there are any), `write_textures`,
+    ``mesh.glb`` (`write_glb`), ``mesh.ply`` for measuring, ``result.json`` (`ResultNumbers`). Then figures with scales,
     ``report.html``, ``relight.gif`` and ``turntable.gif``, and ``ball.png`` where lights come from a ball. Depth and
     mesh of more than 4 million pixels are made at a fraction of the resolution, which ``result.json`` names.
 

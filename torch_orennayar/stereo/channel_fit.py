@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -12,10 +13,12 @@ from .linear_systems import solve_symmetric
 from .material import Material, respond
 from .pixel_sample import PixelSample
 from .robust_fit import PixelFit, predict, weights
-from .robust_stats import Used, mean_brightness
+from .robust_stats import Used, mean_brightness, median_rank, noise_level, select
 
 LEAST_ALBEDO = 1e-12
 """Albedo of black pixels, over their mean observation, so that nothing is divided by 0."""
+STEPS_UNDER = 5
+"""Reweighted steps of a fit under given normals; set by hand."""
 ALBEDO_STEPS = 4
 """Fixed-point steps that settle an albedo on which interreflection between facets depends; set by hand."""
 
@@ -43,6 +46,21 @@ def fit_channels(
         albedos.append(albedo * mean)
         strengths.append(lobes * mean)
     return torch.cat(albedos, 1), torch.stack(strengths, 2)
+
+
+def fit_under(normal: Tensor, sample: PixelSample, material: Material, used: Used) -> PixelFit:
+    """The fit of albedo and highlights under given normals (P, 3); its spread is infinite."""
+    grey, mean = sample.grey, mean_brightness(sample.grey)
+    selected = select(grey, used)
+    rank, infinite = median_rank(selected), torch.full_like(mean, torch.inf)
+    fitted = PixelFit(normal, mean, grey.new_zeros(len(grey), len(material.exponents)), infinite, mean, infinite)
+    for _ in range(STEPS_UNDER):
+        albedo, lobes = fit_channels(fitted, sample, grey[:, :, None], material, used)
+        fitted = replace(fitted, albedo=albedo, lobes=lobes[:, :, 0])
+        missed = grey - predict(fitted, sample.directions, material)
+        noise = noise_level(missed / mean, selected, rank)
+        fitted = replace(fitted, noise=noise, residual=missed.abs().mean(1, keepdim=True))
+    return fitted
 
 
 def _lobe_strengths(diffuse: Tensor, shapes: Sequence[Tensor], channel: Tensor, weight: Tensor) -> Tensor:

@@ -51,12 +51,13 @@ DARKEST = 0.01
 MOST_SHARE = 2.0
 """Greatest share of a pixel's own light that may come from other parts: above 1 only if they are less white than
 assumed. Set by hand."""
-GAIN = 0.005
-"""Share of the misfit in hollows that must vanish for the light to be removed. Set by hand."""
+GAIN, GAIN_MIXED = 0.005, 0.02
+"""Share of the misfit in hollows that must vanish for the light to be removed: from surfaces of one material, and of
+several, on which the misfit of the one is larger. Set by hand."""
 
 
 def choose_interreflected_light(
-    images: Tensor, lights: Tensor, inside: Tensor, material: Material, seed: int
+    images: Tensor, lights: Tensor, inside: Tensor, material: Material, seed: int, *, mixed: bool = False
 ) -> tuple[InterreflectedLight | None, Finding]:
     """The light to remove from photographs, if that explains hollows better, and a finding on it.
 
@@ -66,6 +67,7 @@ def choose_interreflected_light(
         inside: (H, W) bool.
         material: of the surface.
         seed: picks the pixels among which hollows are sought.
+        mixed: whether it is one of several materials.
     """
     no_hollows = Finding("parts of the surface hardly light each other.", "interreflection-kept")
     if int(inside.sum()) < FEWEST:
@@ -77,7 +79,7 @@ def choose_interreflected_light(
     costs = _misfit_by_strength(hollows, received, share, material)
     best = min(costs, key=costs.__getitem__)
     listed = ", ".join(f"{strength:g} {cost:.4f}" for strength, cost in costs.items())
-    if costs[best] > (1 - GAIN) * costs[0.0]:
+    if costs[best] > (1 - (GAIN_MIXED if mixed else GAIN)) * costs[0.0]:
         text = f"removing light between parts of the surface explains hollows no better (misfit by albedo: {listed})."
         return None, Finding(text, "interreflection-kept")
     text = (

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -16,7 +15,7 @@ from .material import LightDirections, Material
 from .material_refinement import MIN_LIGHTS_HELD_OUT, MINNAERT_EXPONENTS, ROUGHNESSES, TOLERANCE, capped_error
 from .pixel_sample import PixelSample
 from .robust_fit import PixelFit
-from .robust_stats import in_light, mean_brightness
+from .robust_stats import capped_angle, in_light, mean_brightness
 from .roughness_map import at_levels, level_cost, nearest
 
 AUTO_MODEL = "vcavity"
@@ -28,8 +27,6 @@ gains a few per cent. Set by hand from scores of ``scripts/benchmarks/evaluate_s
 DISAGREEMENT = 0.1
 """Score per radian between the normals of the two fits: normals may absorb a misfit that images then do not show. Set
 by hand."""
-MAX_ANGLE = math.radians(20)
-"""Radians at which that angle is cut; set by hand."""
 MIN_LIGHTS_LOBES = 12
 """Number of lights; with fewer no lobes are tried. Set by hand."""
 MIN_LIGHTS_HALVES = 20
@@ -77,7 +74,9 @@ def choose_by_held_out_lights(sample: PixelSample, seed: int) -> MaterialChoice:
     def score(material: Material) -> float:
         if material not in tried:
             (first, error), (second, other) = (fold.predict(material, neighbours) for fold in folds)
-            tried[material] = (error + other) / 2 + DISAGREEMENT * _mean_angle(first.normal, second.normal)
+            tried[material] = (error + other) / 2 + DISAGREEMENT * capped_angle(
+                first.normal, second.normal
+            ).mean().item()
         return tried[material]
 
     lobes = count >= MIN_LIGHTS_LOBES
@@ -91,12 +90,6 @@ def choose_by_held_out_lights(sample: PixelSample, seed: int) -> MaterialChoice:
         f"lights plus disagreement between the normals of two fits: {listed}."
     )
     return MaterialChoice(chosen, scores, (Finding(text, "model-chosen"),))
-
-
-def _mean_angle(first: Tensor, second: Tensor) -> float:
-    """Mean angle between unit vectors (P, 3), each cut at `MAX_ANGLE`, radians."""
-    angle = torch.atan2(torch.linalg.cross(first, second).norm(dim=1), (first * second).sum(1))
-    return angle.clamp(max=MAX_ANGLE).mean().item()
 
 
 @dataclass(frozen=True)

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
 from ..core.progress import track
+from ..core.threads import side_by_side, worker_count
 from ..reconstruction import confidence_from_error
 from .closed_form import Prepare
 from .interreflected_light import InterreflectedLight
 from .pixel_grid import Grid
-from .pixel_sample import gather_directions
+from .pixel_sample import PixelSample, gather_directions
 from .robust_stats import soft_middle
 from .set_network import SetNetwork, load_network
 from .solved_maps import SolvedMaps
@@ -81,6 +83,39 @@ class Smooth(nn.Module):
             distance = ((place // side - REACH) ** 2 + (place % side - REACH) ** 2) / SPREAD**2
             total = total + normal * (torch.exp(-0.5 * (difference / EDGE**2 + distance)) / error**ERROR_POWER)
         return F.normalize(total, dim=0)
+
+
+class LearnedNormals(NamedTuple):
+    """What the network says of P pixels.
+
+    Attributes:
+        normal: (P, 3) unit.
+        error: (P, 1) radians that it expects to err by.
+    """
+
+    normal: Tensor
+    error: Tensor
+
+
+@torch.no_grad()
+def read_normals(sample: PixelSample, grid: Grid | None = None) -> LearnedNormals:
+    """Normals of grey pixels, in their dtype, smoothed where a grid of all of them is given."""
+    grey, network = sample.grey, load_network().to(sample.grey.device)
+    most = CHUNK if grey.device.type == "cpu" else CHUNK_ACCELERATOR
+    size = max(1, most // grey.shape[1])
+    parts = [sample[i : i + size] for i in range(0, len(sample), size)]
+
+    def read(part: PixelSample) -> tuple[Tensor, Tensor]:
+        seen = Prepare()(part.grey[:, None].float().clamp_min(0))[0]
+        found: tuple[Tensor, Tensor] = network(seen, part.directions.light.float())
+        return found
+
+    read_parts = side_by_side(read, parts, workers=worker_count() if grey.device.type == "cpu" else 1)
+    normal, error = (torch.cat(values) for values in zip(*read_parts, strict=True))
+    error = error.clamp_max(math.pi / 2)
+    if grid is not None:
+        normal = Smooth()(grid.draw(normal), grid.draw(error))[:, grid.mask].T
+    return LearnedNormals(normal.to(grey), error.to(grey))
 
 
 def solve_network(

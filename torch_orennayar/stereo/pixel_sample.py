@@ -11,10 +11,15 @@ from torch import Tensor
 from ..core.checks import check_unit
 from ..shading.precision import working_dtype
 from .material import LightDirections
+from .pixel_grid import Grid
 from .robust_stats import MISSING
 
 SAMPLE_PIXELS = 2500
 """Pixels of a sample on which the material, its numbers and the light between parts of a surface are decided. Set by
+hand."""
+
+TILE = 8
+"""Rows and columns of a tile of pixels on which the number of materials is decided: neighbours agree on one. Set by
 hand."""
 
 
@@ -50,6 +55,13 @@ class PixelSample:
     def under(self, lights: Tensor) -> PixelSample:
         """The pixels under some of the lights, (K,) bool."""
         return replace(self, grey=self.grey[:, lights].contiguous(), directions=self.directions.under(lights))
+
+    def grid(self) -> Grid:
+        """Where the pixels lie, if their places ascend."""
+        rows = int(self.places[-1]) // self.width + 1
+        mask = torch.zeros(rows * self.width, dtype=torch.bool, device=self.places.device)
+        mask[self.places] = True
+        return Grid(mask.reshape(rows, self.width))
 
     def rows_and_columns(self) -> Tensor:
         """Where the pixels lie, (P, 2)."""
@@ -91,3 +103,15 @@ def gather_reduced(images: Tensor, inside: Tensor, pixels: int) -> tuple[Tensor,
         reduced = F.avg_pool2d(grey, factor)[0] / share.clamp_min(1e-9)
         seen.append(torch.where(missing, MISSING, reduced)[small])
     return torch.stack(seen, 1).cpu(), small.cpu()
+
+
+def draw_tiles(lit: Tensor, seed: int) -> Tensor:
+    """Indices of about as many pixels in square tiles, drawn among ``lit`` (H, W) bool, in ascending order."""
+    rows, columns = (torch.arange(n, device=lit.device) // TILE for n in lit.shape)
+    tile = rows[:, None] * (1 + columns[-1]) + columns
+    generator = torch.Generator().manual_seed(seed)
+    order = torch.randperm(int(tile[-1, -1]) + 1, generator=generator).to(lit.device)
+    count = torch.bincount(tile[lit], minlength=len(order))[order].cumsum(0)
+    drawn = torch.zeros_like(order, dtype=torch.bool)
+    drawn[order[: 1 + int((count < SAMPLE_PIXELS).sum())]] = True
+    return (drawn[tile] & lit).flatten().nonzero().flatten()

@@ -80,6 +80,11 @@ class PixelFit:
         return PixelFit(*parts)
 
     @staticmethod
+    def joined(parts: Sequence[PixelFit]) -> PixelFit:
+        """The fits of parts of the pixels, one after the other."""
+        return PixelFit(*(torch.cat([getattr(part, f.name) for part in parts]) for f in fields(PixelFit)))
+
+    @staticmethod
     def pick(fits: Sequence[PixelFit], which: Tensor) -> PixelFit:
         """Of every pixel the fit whose index is in ``which`` (P,)."""
         index = which[None, :, None]

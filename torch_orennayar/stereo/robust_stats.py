@@ -46,6 +46,16 @@ ERROR_CAP = 0.15
 weigh little. Set by hand."""
 
 
+MAX_ANGLE = math.radians(20)
+"""Radians at which angles between normals are cut when materials are compared; set by hand."""
+
+
+def capped_angle(first: Tensor, second: Tensor) -> Tensor:
+    """Angles between unit vectors (P, 3), each cut at `MAX_ANGLE`, (P,) radians."""
+    angle = torch.atan2(torch.linalg.cross(first, second).norm(dim=1), (first * second).sum(1))
+    return angle.clamp(max=MAX_ANGLE)
+
+
 def mean_brightness(grey: Tensor) -> Tensor:
     """Mean absolute value of every pixel's observations, (P, 1), above 0."""
     return grey.abs().mean(1, keepdim=True).clamp_min(1e-12)

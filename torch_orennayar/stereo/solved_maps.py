@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, fields
+from typing import Any
 
 from torch import Tensor
 
@@ -19,6 +21,7 @@ class SolvedMaps:
         confidence: (1, H, W) in [0, 1].
         roughness: (1, H, W) radians.
         specular: (L C, H, W) strengths of L `blinn_phong` lobes, lobe by lobe, or None.
+        material: (1, H, W) int64, one more than the index of the pixel's material among several, or None.
     """
 
     normal: Tensor
@@ -28,8 +31,21 @@ class SolvedMaps:
     confidence: Tensor
     roughness: Tensor
     specular: Tensor | None = None
+    material: Tensor | None = None
 
     def tensors(self) -> list[Tensor]:
-        """All maps in the order of the arguments, without ``specular`` where there is none."""
-        maps = [self.normal, self.albedo, self.albedo_grey, self.residual, self.confidence, self.roughness]
-        return maps if self.specular is None else [*maps, self.specular]
+        """All maps there are, in the order of the arguments."""
+        return [value for value in self._all() if value is not None]
+
+    def like(self, tensors: Iterable[Tensor]) -> SolvedMaps:
+        """The same maps with other `tensors`."""
+        given = iter(tensors)
+        maps: list[Any] = [None if value is None else next(given) for value in self._all()]
+        return SolvedMaps(*maps)
+
+    def plus(self, other: SolvedMaps) -> SolvedMaps:
+        """The maps of other pixels added."""
+        return self.like(a + b for a, b in zip(self.tensors(), other.tensors(), strict=True))
+
+    def _all(self) -> list[Tensor | None]:
+        return [getattr(self, f.name) for f in fields(self)]

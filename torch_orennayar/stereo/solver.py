@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -21,12 +22,14 @@ from .interreflection import choose_interreflected_light
 from .light_frame import check_light_frame
 from .light_knowledge import Intensities, know_lights
 from .material_choice import choose_material, judge_roughness_map
+from .material_mixture import choose_mixture, mixture_findings
 from .material_refinement import MIN_LIGHTS_HELD_OUT
 from .material_selection import MaterialChoice
+from .mixed_fit import Mixture
 from .near_evidence import check_distant_lights
 from .network_solver import NETWORK, TRAINED_LIGHTS, solve_by_network
 from .normal_fill import fill_normals
-from .pixel_sample import SAMPLE_PIXELS, PixelSample
+from .pixel_sample import SAMPLE_PIXELS, PixelSample, draw_tiles
 from .robust_stats import Used
 from .row_bands import solve_bands
 from .solved_maps import SolvedMaps
@@ -66,6 +69,11 @@ def photometric_stereo(
     better; albedo and residual are then those of the remaining light. The albedo that this needs is found from the
     hollows and does not depend on the images' exposure. ``network`` does so too, and takes the surface as Lambertian
     for that.
+
+    From 12 lights on ``auto`` reads the network too, and averages its normals in where they are near and the fit is
+    uncertain, except under a map of roughness. From 30 lights on it looks for several materials, and for parts that
+    the network's normals explain better than any of them, as on metals: as many as better the error on held-out
+    lights. Each pixel then takes what explains it and its neighbours best.
 
     From 8 photographs on, those that contradict what the others show of the surface are left out and named in the
     report: moved, in the wrong order, or under another light.
@@ -162,18 +170,23 @@ def _solve_known(
     if lights.ndim == 2:
         findings += check_light_frame(images, lights, inside)
     choice = choose_material(sample, model, seed) if robust and model != NETWORK else MaterialChoice()
-    material, uncertain = choice.material, choice.roughness_error
+    choice, mixture = _choose_materials(images, lights, inside & ~dark, choice, seed)
     findings += choice.findings
+    material, uncertain = choice.material, choice.roughness_error
     interreflected = None
     if choice.scores or (model == NETWORK and len(images) >= MIN_LIGHTS_HELD_OUT):
-        interreflected, found = choose_interreflected_light(images, lights, inside, material, seed)
+        mixed = mixture is not None and mixture.is_mixed
+        interreflected, found = choose_interreflected_light(images, lights, inside, material, seed, mixed=mixed)
         findings.append(found)
     if model == NETWORK:
         findings += _network_findings(len(images))
         maps, _ = solve_by_network(images, lights, inside, interreflected=interreflected)
     else:
-        maps = solve_bands(images, lights, inside, material, _observations_used(model, robust), interreflected)
-    if material.roughness_varies:
+        maps = solve_bands(images, lights, inside, material, _observations_used(model, robust), interreflected, mixture)
+    if mixture is not None:
+        findings += mixture_findings(mixture, maps)
+        material = mixture.as_one(maps)
+    elif material.roughness_varies:
         uncertain, found = judge_roughness_map(sample, material, maps.roughness[:, inside])
         findings.append(found)
     findings += _doubtful_pixels(dark, maps, len(images), material.model)
@@ -191,7 +204,22 @@ def _solve_known(
         exponents=material.exponents,
         falloff=float(material.minnaert_exponent),
         roughness_error=uncertain,
+        material=None if maps.material is None else maps.material - 1,
+        falloffs=() if maps.material is None or mixture is None else mixture.falloffs,
     )
+
+
+def _choose_materials(
+    images: Tensor, lights: Tensor, lit: Tensor, choice: MaterialChoice, seed: int
+) -> tuple[MaterialChoice, Mixture | None]:
+    """`choose_mixture`, and the choice without what holds for its single material where there is more than that."""
+    if not choice.scores:
+        return choice, None
+    mixture = choose_mixture(PixelSample.gather(images, lights, draw_tiles(lit, seed)), choice, seed)
+    if mixture is None or not mixture.is_mixed:
+        return choice, mixture
+    uncertain = math.inf if any(material.model != "lambert" for material in mixture.materials) else 0.0
+    return replace(choice, findings=choice.findings[:1], roughness_error=uncertain), mixture
 
 
 def _check_model(model: str, robust: bool) -> None:
