@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import pickle
+import pydoc
 import subprocess
 import sys
 from importlib import metadata
@@ -37,6 +38,19 @@ def test_every_public_name_is_documented(name: str) -> None:
     doc = getattr(ton, name).__doc__
     assert doc
     assert doc.strip().splitlines()[0].endswith((".", ":", ","))
+
+
+def test_completion_offers_public_names_only() -> None:
+    assert set(dir(ton)) == set(ton.__all__)
+
+
+def test_help_of_the_layer_leads_with_what_is_ours() -> None:
+    text = pydoc.plain(pydoc.render_doc(ton.OrenNayar))
+    ours, inherited = text.split("Methods inherited from torch", 1)
+    assert "Example:" in ours
+    assert "forward(self, normal:" in ours
+    assert "ScriptModule" not in ours
+    assert "forward(" not in inherited
 
 
 def test_version_is_the_installed_one() -> None:

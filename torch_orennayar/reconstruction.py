@@ -37,8 +37,8 @@ class Reconstruction:
         scores: error of every kind of material on held-out lights as a share of the pixel's mean, plus a
             tenth of the angle (radians) between the normals of two fits, lower is better; empty where
             nothing was chosen.
-        report: `Finding`s, one sentence each, with codes: the choice of a model, what the input does not determine,
-            pixels that could not be solved.
+        report: `Finding` objects, one sentence each: the choice of a model, what the input does not determine, pixels
+            that could not be solved.
         specular: (L, C, H, W) strengths of L `blinn_phong` lobes, or None.
         exponents: of the L lobes.
         falloff: exponent k of Minnaert's law, the diffuse part times ``(n.l n.v)**(k - 1)``; 1 for none.

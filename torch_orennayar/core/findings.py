@@ -76,7 +76,7 @@ class Finding(str):
     It is a string, so that reports can print, join and serialise it as it is.
 
     Attributes:
-        code: a key of `CODES`; stable between releases, the wording is not.
+        code: a key of ``core.findings.CODES``; stable between releases, the wording is not.
         value: the number in the sentence, in the unit that the code's entry names; None where there is none.
 
     Example:

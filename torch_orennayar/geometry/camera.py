@@ -31,7 +31,7 @@ NEAR = 1e-2
 
 @dataclass(frozen=True)
 class Camera:
-    """A batch of cameras; made by `orthographic`, `perspective` or `from_intrinsics`.
+    """A batch of cameras; made by ``orthographic``, ``perspective`` or ``from_intrinsics``.
 
     Image lengths are in units of half the image height, so that one camera applies to every image size (of its
     aspect ratio, where intrinsics fix one). Tensors may require gradients.
@@ -181,7 +181,7 @@ class Camera:
 
     @staticmethod
     def from_kornia(camera: PinholeCamera) -> Camera:
-        """From a `kornia.geometry.camera.PinholeCamera` (OpenCV frame).
+        """From a ``kornia.geometry.camera.PinholeCamera`` (OpenCV frame).
 
         Example:
             >>> import torch, torch_orennayar as ton
@@ -194,7 +194,7 @@ class Camera:
         return Camera.from_intrinsics(camera.intrinsics[:, :3, :3], size, camera.extrinsics)
 
     def to_kornia(self, size: tuple[int, int]) -> PinholeCamera:
-        """As a `kornia.geometry.camera.PinholeCamera` for images of ``size`` (H, W); perspective only.
+        """As a ``kornia.geometry.camera.PinholeCamera`` for images of ``size`` (H, W); perspective only.
 
         Raises:
             RangeError: the camera is orthographic.

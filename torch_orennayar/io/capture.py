@@ -69,7 +69,7 @@ class Capture:
             seed: of the random sample of pixels that the estimate looks at.
 
         Raises:
-            CaptureError: as `own_intensities`.
+            CaptureError: fewer than 5 lights.
         """
         raw = self.images * self.intensities[:, :, None, None].to(self.images)
         found = own_intensities(raw, self.lights, self.mask, seed=seed)
@@ -116,7 +116,7 @@ def load_capture(
         chrome: a folder of photographs of a mirror ball under the same lights, of the same names or in the same order,
             optionally with a ``mask.png`` of the ball; directions are measured from its highlights and no light file
             is read.
-        positions: a file of the positions of near lights (`read_positions`), instead of a light file.
+        positions: a file of the positions of near lights, instead of a light file.
         unit: of these positions, ``mm``, ``cm``, ``m`` or ``in``, where the file states none; default: millimetres.
         ambient: a photograph with all lights off, outside the folder.
         encoding: ``"linear"``, ``"srgb"``, or ``"auto"``: what the files state (profile, sRGB or gamma chunk, Exif),

@@ -43,6 +43,7 @@ class OrenNayar(nn.Module):
     def __init__(
         self, model: str = "qualitative", dim: int = 1, *, tolerance: float = 0.01, normalise: bool = False
     ) -> None:
+        """See the class."""
         super().__init__()
         if model == "auto":
             model = simplest_model(tolerance=tolerance)

@@ -49,10 +49,11 @@ class SetNetwork(nn.Module):
     """Normals and their expected errors from pixels under sets of lights; invariant to the order of the lights.
 
     The layers' names are those in files of weights: ``mend`` outputs the correction of the robust Lambertian normal,
-    ``doubt`` the logarithm of the expected error; `_Block` has its own in its docstring.
+    ``doubt`` the logarithm of the expected error.
     """
 
     def __init__(self, width: int = 64, blocks: int = 4, heads: int = 4) -> None:
+        """See the class."""
         super().__init__()
         self.shape = {"width": width, "blocks": blocks, "heads": heads}
         self.embed = nn.Sequential(nn.Linear(FEATURES, width), nn.ReLU(), nn.Linear(width, width))

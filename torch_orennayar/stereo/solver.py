@@ -96,8 +96,8 @@ def photometric_stereo(
         robust: ``False`` is plain least squares over all observations, for ``"lambert"`` only; pixels that fewer than
             three lights reach then keep what it gives, else they continue the normals about them.
         intensities: ``"equal"``, also where images were divided by the lights' brightness; the brightness itself, (K,)
-            or (K, C), with B in front in a batch; or ``"unknown"``: it is found, with lights that are given by
-            `own_intensities`, else by `find_lights`.
+            or (K, C), with B in front in a batch; or ``"unknown"``: it is found, from the shading alone
+            under lights that are given, else by `find_lights`.
         refine_lights: whether lights that are given are checked against the images, and replaced where these contradict
             them by degrees; needs a mask, as `find_lights`.
         valid: (K, 1, H, W) or (B, K, 1, H, W) bool, or with C channels: the samples that count, such as

@@ -77,6 +77,7 @@ class AugmentCaptures(nn.Module):
     """
 
     def __init__(self, *augmentations: GeometricAugmentationBase2D) -> None:
+        """See the class."""
         super().__init__()
         require("kornia")
         from kornia.augmentation import GeometricAugmentationBase2D
@@ -257,6 +258,7 @@ class RandomRelight(nn.Module):
         roughness: tuple[float, float] = (0.0, 1.0),
         generator: torch.Generator | None = None,
     ) -> None:
+        """See the class."""
         super().__init__()
         check_count("lights", lights)
         if not 0 < widest <= math.pi / 2:

@@ -52,7 +52,7 @@ class SyntheticCaptures(IterableDataset[Sample]):
     Cast shadows and light between parts take more time than all the rest of a picture; what each ingredient costs is
     measured in scripts/benchmarks/README.md.
 
-    Workers of a `DataLoader` and ranks of a process group share the indices among themselves; the group is asked when
+    Workers of a ``DataLoader`` and ranks of a process group share the indices among themselves; the group is asked when
     iteration begins, so that captures may be made before it. Where a trainer shards iterable datasets itself, as
     Hugging Face's accelerate does, pass ``rank=0, world=1``. Batches of ``"images"`` whose number of lights varies need
     ``collate_fn=collate_captures``; a sample of ``"pixels"`` is a batch: use ``batch_size=None``.
@@ -212,7 +212,7 @@ class SyntheticCaptures(IterableDataset[Sample]):
 
     @independent_of_defaults
     def render_scenes(self, workers: int = 0) -> None:
-        """Render all scenes now; workers of a `DataLoader` then share them.
+        """Render all scenes now; workers of a ``DataLoader`` then share them.
 
         Ranks of a process group share the work if all of them call this.
 
@@ -302,7 +302,7 @@ def _grouped() -> bool:
 
 
 class _SceneRenderer(Dataset[RenderedScene]):
-    """The scenes of captures by number, for the workers of a `DataLoader`."""
+    """The scenes of captures by number, for the workers of a ``DataLoader``."""
 
     def __init__(self, captures: SyntheticCaptures[Sample]) -> None:
         self._render = captures.render_scene

@@ -33,7 +33,7 @@ class SyntheticBatch(SyntheticImages):
 
 
 def collate_captures(samples: Sequence[SyntheticImages]) -> SyntheticBatch:
-    """Stack samples of ``SyntheticCaptures("images")`` that have different numbers of lights, for a `DataLoader`.
+    """Stack samples of ``SyntheticCaptures("images")`` that have different numbers of lights, for a ``DataLoader``.
 
     Args:
         samples: one or more, of one size.

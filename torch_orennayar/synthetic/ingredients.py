@@ -14,7 +14,7 @@ class Ingredients:
     """What synthetic captures contain; every share is a probability.
 
     The shares of diffuse parts and the strengths of highlights are near those fitted to 151 measured materials
-    (`tests/support/rendered_captures.py`): two thirds are diffuse under a glaze, a quarter is rough, and the broad
+    (``tests/support/rendered_captures.py``): two thirds are diffuse under a glaze, a quarter is rough, and the broad
     highlight of many is nearly as bright as the diffuse part.
 
     Attributes:
