@@ -1,4 +1,4 @@
-"""Make or reuse the project's `.venv`; shared by `scripts/demo` and `scripts/test`."""
+"""Make or reuse the project's `.venv`; shared by the scripts beside this file."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ MINIMUM = (3, 10)
 
 
 def prepare(extra: str = "all") -> Path:
-    """Install the project with ``extra``, ``all`` or ``test``, unless that was done already; return its python."""
+    """Install the project with ``extra``, all, docs or test, unless that was done already; return its python."""
     if sys.version_info < MINIMUM:
         sys.exit(f"Python {MINIMUM[0]}.{MINIMUM[1]} or newer is needed, this is {sys.version.split()[0]}")
     home = ROOT / ".venv"
     python = home / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
     wanted = hashlib.sha256((ROOT / "pyproject.toml").read_bytes() + CONSTRAINTS.read_bytes()).hexdigest()
-    stamps = [home / f".installed-{name}" for name in (extra, "test")]  # test includes all
+    stamps = [home / f".installed-{name}" for name in (extra, *["test"] * (extra == "all"))]  # test includes all
     if python.exists() and any(s.exists() and s.read_text() == wanted for s in stamps):
         return python
     if not python.exists():

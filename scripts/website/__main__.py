@@ -1,0 +1,38 @@
+"""Build the site in out/site from docstrings, guides, gallery, recorded results and changelog; warnings are errors.
+
+python -m scripts.website [options of sphinx-build]
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+
+from scripts.benchmarks.record import ROOT
+from scripts.website import links, pages, reference
+
+SOURCE, SITE = ROOT / "out" / "site-source", ROOT / "out" / "site"
+
+
+def main(options: list[str]) -> None:
+    """Write the source tree, run Sphinx on it and check every link of what comes out."""
+    for folder in (SOURCE, SITE):
+        shutil.rmtree(folder, ignore_errors=True)
+    SOURCE.mkdir(parents=True)
+    pages.write(SOURCE)
+    reference.write(SOURCE / "reference")
+    command = [sys.executable, "-m", "sphinx", "-c", "scripts/website", "-W", "--keep-going", "--quiet", *options]
+    environment = {**os.environ, "MPLBACKEND": "agg", "TQDM_DISABLE": "1"}
+    status = subprocess.run([*command, str(SOURCE), str(SITE)], cwd=ROOT, env=environment, check=False).returncode
+    if status:
+        sys.exit(status)
+    wrong = links.check(SITE)
+    if wrong:
+        sys.exit("\n".join(wrong))
+    print(f"{SITE.relative_to(ROOT)}/index.html")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
