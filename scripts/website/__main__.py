@@ -11,7 +11,7 @@ import subprocess
 import sys
 
 from scripts.benchmarks.record import ROOT
-from scripts.website import links, pages, reference
+from scripts.website import links, models, pages, reference
 
 SOURCE, SITE = ROOT / "out" / "site-source", ROOT / "out" / "site"
 
@@ -23,6 +23,7 @@ def main(options: list[str]) -> None:
     SOURCE.mkdir(parents=True)
     pages.write(SOURCE)
     reference.write(SOURCE / "reference")
+    models.write(SOURCE / "models")
     command = [sys.executable, "-m", "sphinx", "-c", "scripts/website", "-W", "--keep-going", "--quiet", *options]
     environment = {**os.environ, "MPLBACKEND": "agg", "TQDM_DISABLE": "1"}
     status = subprocess.run([*command, str(SOURCE), str(SITE)], cwd=ROOT, env=environment, check=False).returncode

@@ -6,10 +6,11 @@ import re
 from pathlib import Path
 
 import pytest
+import torch
 
 import torch_orennayar as ton
 from scripts.benchmarks.record import ROOT
-from scripts.website import links, pages, reference
+from scripts.website import formulas, links, models, pages, reference, spheres
 
 
 def test_every_public_name_is_in_the_reference_once(tmp_path: Path) -> None:
@@ -49,3 +50,24 @@ def test_documents_lead_to_each_other(tmp_path: Path) -> None:
 def test_wrong_links_are_found(tmp_path: Path, body: str, wrong: list[str]) -> None:
     (tmp_path / "page.html").write_text(body, encoding="utf-8")
     assert links.check(tmp_path) == wrong
+
+
+def test_every_model_has_a_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn: list[str] = []
+    monkeypatch.setattr(models, "draw", lambda folder, names: drawn.extend(names))
+    models.write(tmp_path / "models")
+    assert set(drawn) == set(formulas.NOTES) <= set(ton.MODELS)
+    for name in drawn:
+        page = (tmp_path / "models" / f"{name}.md").read_text(encoding="utf-8")
+        assert page.count("```{math}") == len(formulas.NOTES[name].formula)
+        assert f"({name}.md)" in (tmp_path / "models" / "index.md").read_text(encoding="utf-8")
+        assert all(page.count(f"\n| {copy} |") == 1 for copy in formulas.NOTES[name].copies)
+
+
+@pytest.mark.slow
+def test_the_sphere_of_the_theory_is_the_theory() -> None:
+    whole = spheres._sphere("theory", 45, 30)
+    fine = spheres._shade("theory", spheres.COARSE, 45, 30)[0].clamp(0, 1)
+    step = spheres.SIDE // spheres.COARSE
+    seen = torch.from_numpy(whole)[: spheres.SIDE // 2].unfold(0, step, step).unfold(1, step, step).mean((2, 3))
+    assert (seen - ton.linear_to_srgb(fine)[0]).abs().mean() < 0.01

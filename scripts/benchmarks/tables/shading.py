@@ -9,6 +9,15 @@ from torch_orennayar.core.findings import CODES
 GRADIENTS = {"lambert": "smooth", "vcavity": "smooth", "theory": "of the quadrature"}
 """How differentiable a model is; those not listed have kinks where both angles are equal and at right angles."""
 
+KINDS = {
+    "eager forward": "eager",
+    "eager both": "eager, gradients",
+    "compiled forward": "compiled",
+    "compiled both": "compiled, gradients",
+    "onnx": "ONNX Runtime",
+}
+"""What was timed of every model, and how tables call it."""
+
 
 def models() -> str:
     """Error, white furnace, cost and smoothness of every model."""
@@ -49,15 +58,13 @@ def properties() -> str:
 def accuracy_and_speed() -> str:
     """Error and times of models and copied formulas."""
     section = load_section("chart_reflectance", "models")
-    kinds = ("eager forward", "eager both", "compiled forward", "compiled both", "onnx")
-    titles = ["eager", "eager, gradients", "compiled", "compiled, gradients", "ONNX Runtime"]
     rows = [
-        [name, fixed(d["rms"], 4), fixed(d["max"], 3), *(short(d["time"].get(kind), 3) for kind in kinds)]
+        [name, fixed(d["rms"], 4), fixed(d["max"], 3), *(short(d["time"].get(kind), 3) for kind in KINDS)]
         for name, d in section.results["entries"].items()
     ]
     floor = section.results["floor_ms"]
-    rows.append(["memory floor", NOTHING, NOTHING, *(short(floor.get(kind), 3) for kind in kinds)])
-    header = ["", "RMS error", "largest", *(f"{title}, ms per megapixel" for title in titles)]
+    rows.append(["memory floor", NOTHING, NOTHING, *(short(floor.get(kind), 3) for kind in KINDS)])
+    header = ["", "RMS error", "largest", *(f"{title}, ms per megapixel" for title in KINDS.values())]
     return f"{section.source}\n\n{table(header, rows)}"
 
 
