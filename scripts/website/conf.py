@@ -11,7 +11,7 @@ author = "the torch_orennayar authors"
 version = release = torch_orennayar.__version__
 copyright = author  # noqa: A001
 extensions = [
-    "myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode",
+    "myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode", "sphinx_gallery.gen_gallery",
 ]  # fmt: skip
 nitpicky = True
 nitpick_ignore_regex = [  # types of other packages and of modules without public names, in signatures
@@ -32,6 +32,21 @@ pygments_style = "default"
 pygments_dark_style = "github-dark"
 
 myst_heading_anchors = 4
+
+sphinx_gallery_conf = {
+    "examples_dirs": "../../examples/gallery",
+    "gallery_dirs": "gallery",
+    "filename_pattern": r"\.py$",
+    "within_subsection_order": "ExampleTitleSortKey",
+    "abort_on_example_error": True,
+    "doc_module": ("torch_orennayar",),
+    "backreferences_dir": "gallery/uses",
+    "thumbnail_size": (400, 280),
+    "show_signature": False,
+    "show_memory": False,
+    "write_computation_times": False,
+    "nested_sections": False,
+}
 
 autodoc_member_order = "bysource"
 autodoc_preserve_defaults = True

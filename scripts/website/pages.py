@@ -31,7 +31,7 @@ DOCUMENTS = {
 """Document of the repository and page of the site."""
 MENU = {
     "Guides": [f"guides/{name}" for name in GUIDES],
-    "Reference": ["reference/index", "models/index"],
+    "Reference": ["reference/index", "models/index", "gallery/index"],
     "Project": ["measurements", "changelog", "contributing", "security"],
 }
 """Captions of the menu and their pages."""

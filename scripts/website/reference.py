@@ -1,4 +1,7 @@
-"""The reference: one page per part of the package, on it one section per public name, written from its docstring."""
+"""The reference: one page per part of the package, on it one section per public name, written from its docstring.
+
+Under each stand the programs of the gallery that use it, with their pictures.
+"""
 
 from __future__ import annotations
 
@@ -101,7 +104,7 @@ def _section(name: str) -> str:
             body += "   :no-members:\n   :show-inheritance:\n"
     else:
         body = f".. autofunction:: {name}\n"
-    return f"{_heading(title, '-')}{body}\n"
+    return f"{_heading(title, '-')}{body}\n.. minigallery:: torch_orennayar.{name}\n\n"
 
 
 def _hidden(kind: type) -> str:
