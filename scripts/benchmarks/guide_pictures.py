@@ -1,5 +1,7 @@
 """Follow the guides to captures and draw their pictures; prints the errors that the photographs' truth shows.
 
+The picture of failures is that of `examples/gallery/where_methods_fail.py`.
+
 python -m scripts.benchmarks.guide_pictures [--output .github/images]
 """
 
@@ -7,11 +9,13 @@ from __future__ import annotations
 
 import argparse
 import os
+import runpy
 import subprocess
 import sys
 import tempfile
 from pathlib import Path
 
+import matplotlib.pyplot as plt
 import torch
 from torch import Tensor
 
@@ -36,6 +40,8 @@ PICTURES = {
     },
 }  # fmt: skip
 """What each guide shows: captions and files, of those that its commands leave."""
+FAILURES_DPI = 80
+"""Dots per inch of the picture of failures, as wide as a page."""
 
 
 def main() -> None:
@@ -53,6 +59,9 @@ def main() -> None:
                 print(f"{guide}, {results}: normals {normal_error(str(results)):.2f} degrees off")
             save_sheet(output / f"guide_{guide.replace('-', '_')}.png", [{c: picture(f) for c, f in files.items()}])
             os.chdir(ROOT)
+    plt.switch_backend("agg")
+    runpy.run_path(str(ROOT / "examples" / "gallery" / "where_methods_fail.py"))
+    plt.gcf().savefig(output / "failures.png", dpi=FAILURES_DPI)
 
 
 def run(*words: object) -> None:

@@ -17,7 +17,7 @@ REPOSITORY = "https://github.com/torch-orennayar/torch_orennayar"
 """Where a link to a file leads that is no page of the site; the address of pyproject.toml."""
 GUIDES = (
     "shading", "rendering", "photometric-stereo", "captures", "mirror-ball", "unknown-lights", "near-lamps",
-    "shape-from-shading", "synthetic-data", "onnx", "conventions-and-errors",
+    "shape-from-shading", "synthetic-data", "onnx", "conventions-and-errors", "what-to-expect", "coming-from-elsewhere",
 )  # fmt: skip
 """The guides in the order of the menu."""
 DOCUMENTS = {

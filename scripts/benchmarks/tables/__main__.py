@@ -55,6 +55,7 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "model properties": shading.properties,
     "accuracy and speed": shading.accuracy_and_speed,
     "materials": shading.materials,
+    "eon roughness": shading.eon_roughness,
     "shading speed": shading.shading_speed,
     "shading memory": shading.shading_memory,
     "onnx shading": shading.onnx_shading,

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import torch
+
 from scripts.benchmarks.markdown import NOTHING, fixed, short, table
 from scripts.benchmarks.record import NotMeasuredError, load_section, load_sections, sources
 from torch_orennayar.core.findings import CODES
+from torch_orennayar.reflectance.formulas import eon, eon_from_r
 
 GRADIENTS = {"lambert": "smooth", "vcavity": "smooth", "theory": "of the quadrature"}
 """How differentiable a model is; those not listed have kinks where both angles are equal and at right angles."""
@@ -161,3 +164,14 @@ def fuzzing() -> str:
 def finding_codes() -> str:
     """Codes of findings and what they mean."""
     return table(["code", "what it says"], [[f"`{code}`", meaning] for code, meaning in CODES.items()])
+
+
+def eon_roughness() -> str:
+    """EON's r beside the roughness whose light `eon` reflects in the same way."""
+    sigma = torch.linspace(0, torch.pi / 2, 100_001, dtype=torch.float64)
+    ci, co, lv, rho = (torch.full_like(sigma, value) for value in (0.8, 0.7, 0.9, 0.5))
+    shading, rows = eon(ci, co, lv, rho, sigma), []
+    for r in (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8):
+        same = (shading - eon_from_r(ci[:1], co[:1], lv[:1], rho[:1], torch.full_like(ci[:1], r))).abs().argmin()
+        rows.append([f"{r:g}", fixed(sigma[same].item(), 3), fixed(sigma[same].rad2deg().item(), 1)])
+    return table(["r of EON", "σ, radians", "σ, degrees"], rows)
