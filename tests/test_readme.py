@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import torch
 import typer.main
 
 from torch_orennayar import save_mesh
@@ -53,11 +54,21 @@ def check_errors(names: Names, printed: str) -> None:
     assert printed.startswith("RangeError")
 
 
+def check_elsewhere(names: Names, printed: str) -> None:
+    """The camera sees a point where PyTorch3D's projection puts it."""
+    size, world = (names["height"], names["width"]), torch.tensor([[0.2, -0.1, 0.3]])
+    view = world @ names["rotation"] + names["translation"]
+    wanted = torch.tensor([size[1] / 2, size[0] / 2]) - names["half"] * names["focal"] * view[0, :2] / view[0, 2]
+    seen = names["camera"].to_image(names["camera"].to_camera_frame(world[None].double()), size)[0, 0]
+    torch.testing.assert_close((seen[:2] / seen[2]).float(), wanted)
+
+
 CHECKS: dict[str, Callable[[Names, str], None]] = {
     "README.md": check_readme,
     "shading.md": check_shading,
     "photometric-stereo.md": check_stereo,
     "conventions-and-errors.md": check_errors,
+    "coming-from-elsewhere.md": check_elsewhere,
 }
 
 
