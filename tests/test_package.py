@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import inspect
 import pickle
 import pydoc
 import subprocess
@@ -38,6 +39,15 @@ def test_every_public_name_is_documented(name: str) -> None:
     doc = getattr(ton, name).__doc__
     assert doc
     assert doc.strip().splitlines()[0].endswith((".", ":", ","))
+
+
+@pytest.mark.parametrize("name", sorted(set(ton.__all__) - {"MODELS", "__version__"}))
+def test_every_public_name_has_an_example(name: str) -> None:
+    value = getattr(ton, name)
+    members = vars(value).values() if isinstance(value, type) else ()
+    kind_of_error = isinstance(value, type) and issubclass(value, ton.TorchOrenNayarError)
+    documents = [inspect.getdoc(part) or "" for part in (value, *members, *([ton.TorchOrenNayarError] * kind_of_error))]
+    assert any("Example:" in document for document in documents)
 
 
 def test_completion_offers_public_names_only() -> None:

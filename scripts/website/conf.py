@@ -26,6 +26,7 @@ html_static_path = ["static"]
 html_css_files = ["site.css"]
 html_copy_source = False
 html_show_sphinx = False
+html_show_search_summary = False  # it would be fetched, which browsers refuse on files
 html_math_renderer = "mathml"
 html_theme_options: dict[str, Any] = {"footer_icons": []}
 pygments_style = "default"

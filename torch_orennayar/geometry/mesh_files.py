@@ -43,6 +43,14 @@ class Mesh(tuple[Tensor, Tensor]):
     Attributes:
         offset: (3,) float64, added to ``vertices`` gives the file's coordinates; 0 unless they lie far from the origin.
         report: what the file states that changes the surface, and what was mended, as `Finding` objects.
+
+    Example:
+        >>> import pathlib, tempfile, torch, torch_orennayar as ton
+        >>> path = pathlib.Path(tempfile.mkdtemp()) / "triangle.ply"
+        >>> ton.save_mesh(path, torch.eye(3), torch.tensor([[0, 1, 2]]))
+        >>> mesh = ton.load_mesh(path)
+        >>> mesh.vertices.shape, mesh.faces.tolist(), mesh.report
+        (torch.Size([3, 3]), [[0, 1, 2]], ())
     """
 
     offset: Tensor
@@ -217,6 +225,13 @@ def save_mesh(path: str | os.PathLike[str], vertices: Tensor, faces: Tensor, col
     Raises:
         FileError: unknown suffix, or the file cannot be written.
         ShapeError: other shapes.
+
+    Example:
+        >>> import pathlib, tempfile, torch, torch_orennayar as ton
+        >>> path = pathlib.Path(tempfile.mkdtemp()) / "triangle.glb"
+        >>> ton.save_mesh(path, torch.eye(3), torch.tensor([[0, 1, 2]]), colors=torch.eye(3))
+        >>> path.exists()
+        True
     """
     require("trimesh")
     import trimesh

@@ -47,6 +47,14 @@ class Capture:
             the camera), where a file of them was read; ``lights`` are then their directions from there. Else None.
         ball: the outline of a mirror ball among the photographs that the lights come from, or None.
         ball_picture: (3, h, w) that ball with its outline and highlights drawn, or one of a folder of its own; or None.
+
+    Example:
+        >>> import torch, torch_orennayar as ton
+        >>> lights, images = torch.eye(3), torch.full((3, 3, 4, 5), 0.5)
+        >>> mask = torch.ones(1, 4, 5, dtype=torch.bool)
+        >>> capture = ton.Capture(images, lights, torch.ones(3, 3), mask, None, ("a.png", "b.png", "c.png"))
+        >>> capture.images.shape, capture.notes
+        (torch.Size([3, 3, 4, 5]), ())
     """
 
     images: Tensor

@@ -31,6 +31,12 @@ class ModelChoice(str):
         cost: its eager forward time relative to ``lambert``.
         reason: sentences that explain the choice and state error and cost of the next more accurate model.
         candidates: every model's error over the ranges, cheapest first.
+
+    Example:
+        >>> import torch_orennayar as ton
+        >>> choice = ton.simplest_model(roughness=0.3, albedo=0.5, tolerance=0.05)
+        >>> choice.name, choice.candidates[choice] <= 0.05, ton.OrenNayar(choice)
+        ('qualitative', True, OrenNayar(model='qualitative', dim=1))
     """
 
     error: float

@@ -33,6 +33,11 @@ class Model:
         gradients: where the function has a kink.
         derivatives: ``(ci, co, lv, albedo, roughness, weight) -> (pi f_r, weight times its derivatives)``, one
             derivative per argument, or None for 0; None where autograd differentiates the model.
+
+    Example:
+        >>> import torch_orennayar as ton
+        >>> ton.MODELS["fujii"].source, ton.MODELS["fujii"].gradients
+        ('Y. Fujii 2012', 'kinks at ci = co and s = 0')
     """
 
     name: str

@@ -50,6 +50,13 @@ class SetNetwork(nn.Module):
 
     The layers' names are those in files of weights: ``mend`` outputs the correction of the robust Lambertian normal,
     ``doubt`` the logarithm of the expected error.
+
+    Example:
+        >>> import torch, torch_orennayar as ton
+        >>> lights = torch.nn.functional.normalize(torch.rand(12, 3), dim=1)
+        >>> normal, error = ton.SetNetwork(width=16, blocks=2)(torch.rand(5, 12), lights)  # untrained
+        >>> normal.shape, error.shape
+        (torch.Size([5, 3]), torch.Size([5, 1]))
     """
 
     def __init__(self, width: int = 64, blocks: int = 4, heads: int = 4) -> None:
@@ -130,6 +137,12 @@ def make_tokens(observed: Tensor, lights: Tensor) -> Tokens:
     Args:
         observed: (P, K), grey, linear, in any unit.
         lights: (K, 3) or (P, K, 3), unit.
+
+    Example:
+        >>> import torch, torch_orennayar as ton
+        >>> lights = torch.nn.functional.normalize(torch.rand(12, 3), dim=1)
+        >>> ton.make_tokens(torch.rand(5, 12), lights).values.shape
+        torch.Size([5, 12, 12])
     """
     lights = lights.expand(observed.shape[0], -1, -1) if lights.ndim == 2 else lights
     mean = observed.mean(1, keepdim=True).clamp_min(1e-9)
@@ -207,7 +220,15 @@ def _rotated_back(normal: Tensor, azimuth: Tensor) -> Tensor:
 
 
 def save_network(path: str | Path, network: SetNetwork) -> None:
-    """Write shape and weights, these in half precision, to the file that `load_network` reads."""
+    """Write shape and weights, these in half precision, to the file that `load_network` reads.
+
+    Example:
+        >>> import pathlib, tempfile, torch_orennayar as ton
+        >>> path = pathlib.Path(tempfile.mkdtemp()) / "network.pt"
+        >>> ton.save_network(path, ton.SetNetwork(width=16, blocks=2))
+        >>> type(ton.load_network(path)).__name__
+        'SetNetwork'
+    """
     weights = {name: value.detach().cpu().half() for name, value in network.state_dict().items()}
     with atomic_path(Path(path)) as temporary:
         torch.save({"shape": network.shape, "weights": weights}, temporary)

@@ -26,6 +26,13 @@ class SyntheticBatch(SyntheticImages):
     Attributes:
         valid: (B, K, 1, H, W) bool, False there, as `photometric_stereo` takes it.
         counts: (B,) int64 number of lights of each sample.
+
+    Example:
+        >>> import torch_orennayar as ton
+        >>> captures = ton.SyntheticCaptures("images", seed=1, size=(16, 16), lights=(2, 4))
+        >>> batch = ton.collate_captures([captures.sample(k) for k in range(3)])
+        >>> batch["images"].shape[0], batch["valid"].shape[1] == batch["counts"].max()
+        (3, tensor(True))
     """
 
     valid: Tensor

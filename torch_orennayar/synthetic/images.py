@@ -63,6 +63,12 @@ class SyntheticImages(TypedDict):
             or take away where negative.
         true_lights: (K, 3) the lights that the pictures were made with.
         brightness: (K,) of the lights, where the capture states 1 for all.
+
+    Example:
+        >>> import torch_orennayar as ton
+        >>> sample = ton.SyntheticCaptures("images", seed=1, size=(32, 32), lights=(4, 4)).sample(0)
+        >>> sample["images"].shape, sample["albedo"].shape
+        (torch.Size([4, 3, 32, 32]), torch.Size([3, 32, 32]))
     """
 
     images: Tensor

@@ -33,6 +33,12 @@ class SyntheticPixels(TypedDict):
         observed: (P, K) grey linear light in [0, 1], 1 where the pixel's sensor saturates.
         lights: (P, K, 3) unit directions as a capture states them.
         normal: (P, 3) true unit normals.
+
+    Example:
+        >>> import torch_orennayar as ton
+        >>> sample = ton.SyntheticCaptures("pixels", seed=1, lights=(24, 24), observations=240).sample(0)
+        >>> sample["observed"].shape, sample["normal"].shape
+        (torch.Size([10, 24]), torch.Size([10, 3]))
     """
 
     observed: Tensor
