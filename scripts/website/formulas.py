@@ -48,8 +48,9 @@ NOTES: dict[str, Notes] = {
         slips=(
             _UNITS,
             "0.57 for 0.33 in A: another variant of the paper (`qualitative-0.57`), not a correction.",
-            "Normalised projected vectors and `acos` are 0/0 where light or view is along the normal: gradients of "
-            "every pixel that faces the camera are not a number. In cosines nothing is divided but by max(n·l, n·v).",
+            "Normalised projected vectors are 0/0 where light or view is along the normal, and the derivative of "
+            "`acos` is infinite there: gradients of every pixel that faces the camera are not a number. In cosines "
+            "nothing is divided but by max(n·l, n·v).",
         ),
         copies=("acos", "HLSL rewrite", "sin sin", "A bracket"),
     ),
@@ -152,8 +153,8 @@ NOTES: dict[str, Notes] = {
         code=("theory", "reflectance_by_bounces"),
         slips=(
             "“Rough surfaces are brighter”: the theory keeps the light or loses some, and moves it toward the edge.",
-            "“The classic form errs mainly for want of bounces”: on dark surfaces it errs as much, because it cuts off "
-            "directions on opposite sides of the normal.",
+            "“The classic form errs mainly for want of bounces”: on dark surfaces, which have few, it errs too, "
+            "because it cuts off its second term where light and view are on opposite sides of the normal.",
             "The density normalised over slopes rather than over the macroscopic area.",
         ),
     ),

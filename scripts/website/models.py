@@ -142,7 +142,7 @@ def _copies(names: Sequence[str]) -> str:
         found, cases = chart.results["entries"][copy.name], unfit.get(copy.name)
         what = " ".join((copy.shade.__doc__ or "").split())
         finite = str(cases["not finite"]) if cases else "–"
-        source = f"[{copy.source}]({copy.link})"
+        source = f"{copy.source} ([on the formula]({copy.link}))"
         rows.append([copy.name, what, source, fixed(found["rms"], 4), fixed(found["max"], 3), finite])
     header = ["copied as", "what it computes", "found in", "RMS error", "largest", "edge cases not finite"]
     return f"Measured beside the models of this package:\n\n{table(header, rows)}\n"
