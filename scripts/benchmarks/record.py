@@ -33,7 +33,10 @@ DIGITS = 8
 """Significant digits of a recorded number: so many more than a table prints that rounding twice does not show."""
 PACKAGES = ("torch", "numpy", "scipy", "onnx", "onnxruntime", "opencv-contrib-python-headless", "kornia", "pyamg")
 """Packages whose versions are recorded, where they are installed."""
-GENERATED = ("scripts/benchmarks/results", "scripts/benchmarks/README.md", "README.md", "examples/guides", ".github")
+GENERATED = (
+    "scripts/benchmarks/results", "scripts/benchmarks/README.md", "README.md", "examples/guides", ".github",
+    "examples/gallery", "scripts/website",
+)  # fmt: skip
 """What benchmarks and tables write, or pure documentation: changes there do not make the measured code another one."""
 QUICK = " (quick)"
 """Ending of the name of a section that was measured with ``--quick``."""

@@ -13,12 +13,12 @@ import sys
 from scripts.benchmarks.record import ROOT
 from scripts.website import links, models, pages, reference
 
-SOURCE, SITE = ROOT / "out" / "site-source", ROOT / "out" / "site"
+SOURCE, CACHE, SITE = (ROOT / "out" / name for name in ("site-source", "site-cache", "site"))
 
 
 def main(options: list[str]) -> None:
     """Write the source tree, run Sphinx on it and check every link of what comes out."""
-    for folder in (SOURCE, SITE):
+    for folder in (SOURCE, CACHE, SITE):
         shutil.rmtree(folder, ignore_errors=True)
     SOURCE.mkdir(parents=True)
     pages.write(SOURCE)
@@ -27,7 +27,8 @@ def main(options: list[str]) -> None:
     command = [sys.executable, "-m", "sphinx", "-c", "scripts/website", "-W", "--keep-going", "--quiet", *options]
     # The gallery's warnings would show with the paths of this machine; the reports that it prints say the same.
     environment = {**os.environ, "MPLBACKEND": "agg", "PYTHONWARNINGS": "ignore::UserWarning"}
-    status = subprocess.run([*command, str(SOURCE), str(SITE)], cwd=ROOT, env=environment, check=False).returncode
+    command += ["-d", str(CACHE), str(SOURCE), str(SITE)]
+    status = subprocess.run(command, cwd=ROOT, env=environment, check=False).returncode
     if status:
         sys.exit(status)
     wrong = links.check(SITE)
