@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Any
 
 import pytest
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 import torch_orennayar
 from torch_orennayar.core import torch_private
@@ -85,40 +84,6 @@ def test_assume_checks_outside_a_tracer() -> None:
     torch_private.assume(True)
     with pytest.raises(RuntimeError):
         torch_private.assume(False)
-
-
-class Ones(nn.Module):
-    """As many ones as the input sums to: a size that depends on data."""
-
-    def forward(self, number: Tensor) -> Tensor:
-        count: Any = number.sum(dtype=torch.int64).item()  # a number, or a symbol while torch traces
-        torch_private.assume(count >= 0)
-        return torch.ones(count)
-
-
-def decomposed_again() -> torch.export.ExportedProgram:
-    """The program with its assertions erased, then decomposed as ``torch.onnx.export`` does."""
-    program = torch.export.export(Ones(), (torch.tensor([1, 0, 2]),), strict=False)
-    assert assertions(program) > 0
-    for node in list(program.graph.nodes):
-        if "assert" in str(node.target):
-            program.graph.erase_node(node)
-    program.graph.eliminate_dead_code()
-    decomposed: torch.export.ExportedProgram = program.run_decompositions()
-    return decomposed
-
-
-def assertions(program: torch.export.ExportedProgram) -> int:
-    return sum("assert" in str(node.target) for node in program.graph.nodes)
-
-
-@pytest.mark.filterwarnings("ignore:.*LeafSpec.*:FutureWarning")  # torch copies its own deprecated class
-def test_erased_assertions_stay_away() -> None:
-    assert assertions(decomposed_again()) > 0
-    with torch_private.without_runtime_assertions():
-        program = decomposed_again()
-    assert assertions(program) == 0
-    assert program.module()(torch.tensor([4, 0, 1])).tolist() == [1.0] * 5
 
 
 @pytest.mark.parametrize("file", sorted(PACKAGE.rglob("*.py")), ids=lambda file: str(file.relative_to(PACKAGE)))

@@ -143,6 +143,35 @@ def test_broken_pixels_are_zero_in_the_graph_too(tmp_path: Path) -> None:
     assert answer.flatten()[2] > 0.5
 
 
+def test_directions_of_any_length_and_roughness_in_degrees(tmp_path: Path) -> None:
+    """Directions count, not lengths; roughness is clamped; ``valid`` says where an input was out of its range."""
+    path = export_onnx("shading", tmp_path / "graph.onnx", model="vcavity", checked=True)
+    generator = torch.Generator().manual_seed(2)
+    normal = F.normalize(torch.randn(1, 3, 4, 5, generator=generator), dim=1)
+    light = F.normalize(torch.tensor([0.3, 0.2, 0.9]), dim=0).reshape(1, 3, 1, 1)
+    view = torch.tensor([0.0, 0, 1]).reshape(1, 3, 1, 1)
+    albedo, roughness = torch.full((1, 2, 1, 1), 0.7), torch.full((1, 1, 4, 5), 0.5)
+    right = run_graph(path, normal=normal, light=light, view=view, albedo=albedo, roughness=roughness)
+    assert bool(right["valid"].all())
+    assert torch.allclose(
+        right["shading"], oren_nayar(normal, light, view, albedo, roughness, model="vcavity"), atol=1e-6
+    )
+
+    longer = run_graph(path, normal=normal * 1.7, light=light, view=view, albedo=albedo, roughness=roughness)
+    assert torch.allclose(longer["shading"], right["shading"], atol=1e-6)
+    assert not bool(longer["valid"].any())
+    assert right["valid"].shape == (1, 1, 4, 5)
+
+    mixed = roughness.clone()
+    mixed[..., 0], mixed[..., 1], mixed[..., 2] = 30.0, -0.1, torch.nan
+    degrees = run_graph(path, normal=normal, light=light, view=view, albedo=albedo, roughness=mixed)
+    assert degrees["valid"][0, 0].tolist() == [[False, False, False, True, True]] * 4
+    roughest = oren_nayar(normal, light, view, albedo, torch.pi / 2, model="vcavity")
+    assert torch.allclose(degrees["shading"][..., 0], roughest[..., 0], atol=1e-5)
+    negative = run_graph(path, normal=normal, light=light, view=view, albedo=-albedo, roughness=roughness)
+    assert not bool(negative["valid"].any())
+
+
 def test_description_names_inputs_axes_and_units(tmp_path: Path) -> None:
     described = describe_onnx(export_onnx("shading", tmp_path / "graph.onnx", model="qualitative"))
     assert list(described["inputs"]) == ["normal", "light", "view", "albedo", "roughness"]
@@ -155,6 +184,8 @@ def test_description_names_inputs_axes_and_units(tmp_path: Path) -> None:
     assert described["metadata"]["model"] == "qualitative"
     assert "radians" in described["metadata"]["roughness"]
     assert described["bytes"] < 300_000
+    assert described["types"]["light"] == "float32"
+    assert described["meanings"]["roughness"].startswith("standard deviation of the facet slope angle, radians")
 
 
 def test_no_names_of_this_machine_in_the_file(tmp_path: Path) -> None:
@@ -227,6 +258,40 @@ def test_renderer_sees_the_faces_that_torch_sees(renderer: RendererGraph) -> Non
 def test_renderer_sees_the_same_faces_of_real_meshes(renderer: RendererGraph, data: Path, name: str) -> None:
     vertices, faces = load_mesh(data / "meshes" / f"{name}.obj")
     check_render(renderer, normalise_mesh(vertices), faces)
+
+
+@pytest.mark.parametrize("what", ["renderer", "shaded_mesh"])
+@pytest.mark.slow
+def test_one_file_serves_every_view(tmp_path: Path, what: str) -> None:
+    """Camera and size are inputs: an orbit of cameras, lenses and pictures of other sizes, as torch sees them."""
+    perspective = what == "shaded_mesh"
+    camera = Camera.perspective(1.6, (0.3, 0.4, 1.1)) if perspective else CAMERA
+    path = export_onnx(what, tmp_path / "graph.onnx", camera=camera, size=(8, 8), view_inputs=True, model="vcavity")
+    described = describe_onnx(path)
+    assert list(described["inputs"])[:7] == ["vertices", "faces", "rotation", "eye", "focal", "centre", "size"]
+    assert described["outputs"]["face"] == ["1", "1", "height", "width"]
+    assert described["types"]["size"] == "int64"
+    assert "half image heights" in described["meanings"]["focal"]
+    ball = trimesh.creation.icosphere(3)
+    vertices, faces = torch.tensor(ball.vertices).float() * torch.tensor([1.0, 0.6, 0.8]), torch.tensor(ball.faces)
+    light, albedo = torch.tensor([[0.0, 0, 1], [0.6, 0, 0.8]]), torch.tensor([0.8])
+    for eye, size, factor in (
+        ((0.3, 0.4, 2.1), (96, 128), 1.0),
+        ((1.9, -1.0, 0.2), (1, 33), 0.7),
+        ((0, 1, -3), (200, 7), 2.0),
+    ):
+        seen_by = Camera.perspective(0.9 * factor, eye) if perspective else Camera.orthographic(1.1 * factor, eye)
+        view = {n: getattr(seen_by, n)[0] for n in ("rotation", "eye", "focal", "centre")}
+        feeds = {"vertices": vertices, "faces": faces, **view, "size": torch.tensor(size)}
+        if perspective:
+            feeds |= {"light": light, "albedo": albedo, "roughness": torch.tensor([0.6])}
+        found, seen = run_graph(path, 0, **feeds), render_normals(vertices, faces, seen_by, size)
+        assert torch.equal(found["face"], seen.face)
+        assert torch.allclose(found["depth"], seen.depth, rtol=1e-5, atol=1e-5)
+        assert torch.allclose(found["normal"], seen.normal, atol=1e-5)
+        if perspective:
+            wanted = seen.shade(OrenNayar("vcavity"), light[None], albedo=0.8, roughness=0.6)[0]
+            assert torch.allclose(found["shading"], wanted, atol=1e-5)
 
 
 @pytest.mark.slow

@@ -62,6 +62,16 @@ def test_three_lights_are_enough_for_lambert(graph: Path) -> None:
     assert error["mean"] < 2
 
 
+@pytest.mark.parametrize(("model", "fewest"), [("vcavity", 3), ("network", 12)])
+@pytest.mark.slow
+def test_fewer_lights_than_the_graph_is_for_are_refused(graph: Path, tmp_path: Path, model: str, fewest: int) -> None:
+    path = graph if model == "vcavity" else export_onnx("stereo", tmp_path / "network.onnx", model=model)
+    images, lights, mask, _ = photographs(20, count=fewest)
+    assert run_graph(path, images=images, lights=lights, mask=mask)["normal"].isfinite().all()
+    with pytest.raises(Exception, match=f"refuse_fewer_than_{fewest}_lights"):
+        run_graph(path, images=images[1:], lights=lights[1:], mask=mask)
+
+
 @pytest.mark.parametrize("count", [3, 8, 40])
 @pytest.mark.slow
 def test_graph_equals_torch_and_repeats_to_the_bit(graph: Path, count: int) -> None:

@@ -13,11 +13,9 @@ from pathlib import Path
 import onnx
 import pytest
 from filelock import FileLock
-from torch import Tensor
 
 from torch_orennayar import MODELS, Camera
 from torch_orennayar.export import shading_graph
-from torch_orennayar.export.renderer_graph import Renderer
 
 CAMERA, SIZE = Camera.orthographic(1.05), (512, 512)
 """What the tests of a renderer without shading share with the page in ``examples/web``, so that it is traced once; at
@@ -29,25 +27,20 @@ BUILT_IN = frozenset(MODELS)
 
 def share(patch: pytest.MonkeyPatch, folder: Path) -> None:
     """Let the builders of graphs look into ``folder`` first, and leave there what they trace."""
-    keys: dict[str, Callable[..., str | None]] = {
-        "renderer": _renderer_key,
-        "shading": _shading_key,
-        "stereo": str,
-        "network": lambda: "",
+    keys: dict[tuple[str, str], Callable[..., str | None]] = {
+        ("renderer", "traced_renderer"): lambda *, perspective, near: f"{perspective} {near}",
+        ("shading", "shading_graph"): _shading_key,
+        ("stereo", "stereo_graph"): str,
+        ("network", "network_graph"): lambda: "",
     }
-    for name, key in keys.items():
+    for (name, builder), key in keys.items():
         module = import_module(f"torch_orennayar.export.{name}_graph")
-        patch.setattr(module, f"{name}_graph", _shared(getattr(module, f"{name}_graph"), key, folder))
+        patch.setattr(module, builder, _shared(getattr(module, builder), key, folder))
 
 
-def _renderer_key(renderer: Renderer) -> str:
-    camera = {n: v.tolist() if isinstance(v, Tensor) else v for n, v in sorted(vars(renderer.camera).items())}
-    return f"{camera} {renderer.size} {renderer.model}"
-
-
-def _shading_key(model: str, *, per_pixel: bool) -> str | None:
+def _shading_key(model: str, *, per_pixel: bool, checked: bool = False) -> str | None:
     """None for a model that a test registers: another test may use the name for another function."""
-    return f"{model} {per_pixel} {shading_graph.ROW_BAND_ELEMENTS}" if model in BUILT_IN else None
+    return f"{model} {per_pixel} {checked} {shading_graph.ROW_BAND_ELEMENTS}" if model in BUILT_IN else None
 
 
 def _shared(

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager
-
 import torch
 from torch import Tensor
 
@@ -27,12 +25,3 @@ def assume(condition: bool | torch.SymBool) -> None:
         RuntimeError: outside a tracer, if ``condition`` is false.
     """
     torch._check(condition)
-
-
-def without_runtime_assertions() -> AbstractContextManager[None]:
-    """Keep ``ExportedProgram.run_decompositions`` from inserting assertions on sizes that depend on data.
-
-    ONNX cannot express them. ``torch.onnx.export`` decomposes too, and would insert again those that were removed.
-    """
-    context: AbstractContextManager[None] = torch._dynamo.config.patch(do_not_emit_runtime_asserts=True)
-    return context

@@ -22,6 +22,9 @@ def network_task() -> ExportTask:
     """`solve_network` with the weights that ship."""
     metadata = CAPTURE_METADATA | {
         "model": NETWORK,
+        "lights": f"unit, away from the surface, toward the source; {TRAINED_LIGHTS} or more, fewer end in an error",
+        "limits": "no near or unknown lights, no light between parts of the surface",
+        "normal": "camera frame, unit, 0 outside the mask",
         "roughness": "always 0: the network does not estimate it",
         "error": "error of the normal that the network expects, radians",
         "method": "a set network trained on synthetic pixels under 12 to 100 lights; albedo by Lambert's law; "
@@ -38,7 +41,8 @@ def network_task() -> ExportTask:
 def network_graph() -> onnx.ModelProto:
     """The graph of `solve_network`; the last output, ``error``, is the error that the network expects, radians."""
     graph = PixelGraph(
-        {"chunk": [CHUNK], "rows_of_three": [-1, 3], "column": [-1, 1], "step": 1, "right_angle": [math.pi / 2]}
+        {"chunk": [CHUNK], "rows_of_three": [-1, 3], "column": [-1, 1], "step": 1, "right_angle": [math.pi / 2]},
+        TRAINED_LIGHTS,
     )
     add = graph.add
     grey, _ = graph.inline(graph.trace(Prepare(), ("seen",), 2), "prepare_", (graph.observations,))

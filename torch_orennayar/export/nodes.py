@@ -43,6 +43,13 @@ class Nodes:
         self.nodes.append(onnx.helper.make_node(operator, list(inputs), outputs, name=name, **attributes))
         return outputs
 
+    def named(self, output: str, operator: str, *inputs: str) -> None:
+        """Append a node whose output is called ``output``."""
+        import onnx
+
+        name = f"{self.prefix}{operator.lower()}_{len(self.nodes)}"
+        self.nodes.append(onnx.helper.make_node(operator, list(inputs), [output], name=name))
+
 
 def inline(
     add: Nodes, graph: onnx.GraphProto, prefix: str, inputs: Mapping[str, str]
@@ -71,11 +78,11 @@ def inline(
     return [f"{prefix}{value.name}" for value in graph.output], initializers
 
 
-def as_model(graph: onnx.GraphProto) -> onnx.ModelProto:
-    """The graph as a model of operator set `OPSET`."""
+def as_model(graph: onnx.GraphProto, opset: int = OPSET) -> onnx.ModelProto:
+    """The graph as a model of the operator set ``opset``."""
     from onnx import helper
 
-    opsets = [helper.make_opsetid("", OPSET)]
+    opsets = [helper.make_opsetid("", opset)]
     return helper.make_model(graph, opset_imports=opsets, ir_version=helper.find_min_ir_version_for(opsets))
 
 

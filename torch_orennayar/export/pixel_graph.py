@@ -36,7 +36,7 @@ class PixelGraph:
         observations: name of the images' values inside the mask, (P, C, K).
     """
 
-    def __init__(self, constants: Mapping[str, object]) -> None:
+    def __init__(self, constants: Mapping[str, object], fewest_lights: int) -> None:
         self.add = add = Nodes("")
         self._constants: dict[str, object] = {
             "all": [-1],
@@ -46,14 +46,30 @@ class PixelGraph:
             "one": [1],
             "axis": 0,
             "float_zero": [0.0],
+            "first": 0,
+            "every": 1,
+            "last_needed": fewest_lights - 1,
             **constants,
         }
         self._traced_constants: list[onnx.TensorProto] = []
-        self._inside = add("Reshape", "mask", "all")
+        self._inside = add("Reshape", "mask", add("Add", "all", self._refuse_fewer_lights(fewest_lights)))
         self._positions = add("Squeeze", add("NonZero", self._inside), "zero")
         inside = add("Gather", add("Reshape", "images", "keep_two"), self._positions, axis=2)
         self.observations = add("Transpose", inside, perm=[2, 1, 0])
         self._pixel_of_position = ""
+
+    def _refuse_fewer_lights(self, fewest: int) -> str:
+        """A number that is 0, and that a runtime cannot compute where there are fewer lights.
+
+        ONNX has no assertion; the runtime's error names the node.
+        """
+        from onnx import helper
+
+        add, taken = self.add, f"refuse_fewer_than_{fewest}_lights"
+        count = add("Squeeze", add("Shape", "lights", end=1), "zero")
+        numbers = add("Range", "first", count, "every")
+        add.nodes.append(helper.make_node("Gather", [numbers, "last_needed"], [taken], name=taken))
+        return add("Sub", taken, "last_needed")
 
     def trace(self, module: nn.Module, names: Sequence[str], outputs: int, rows: int | None = None) -> onnx.ModelProto:
         """The graph of a module that takes the inputs called ``names``.
@@ -73,7 +89,11 @@ class PixelGraph:
             "normal_map": (torch.rand(3, 9, 8), area),
             "error_map": (torch.rand(1, 9, 8), area),
             **{n: (torch.rand(number, 7), row | {1: count}) for n in ("grey", "middle", "weight")},
-            **{n: (torch.rand(number, 1), row) for n in ("level", "roughness")},
+            "level": (torch.rand(number, 1), row),
+            "ci": (torch.rand(number, 1, 7, 1), row | {2: count}),
+            "co": (torch.rand(number, 1, 1, 1), row),
+            "albedo": (torch.rand(number, 3, 1, 1), row | {1: channels}),
+            "value": (torch.rand(number, 3, 7, 1), row | {1: channels, 2: count}),
         }
         return trace(
             module.eval,

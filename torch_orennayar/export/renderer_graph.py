@@ -1,21 +1,22 @@
-"""Trace the renderer, alone or followed by shading, into an ONNX graph."""
+"""The renderer as an ONNX graph, alone or followed by shading; camera and size are inputs or part of the file."""
 
 from __future__ import annotations
 
-import dataclasses
 from typing import TYPE_CHECKING, Any
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor, nn
 
-from ..core import torch_private
 from ..core.errors import ExportError
 from ..core.optional import require
 from ..geometry.camera import Camera
 from ..reflectance.models import get_model
-from ..render.normal_map import check_size, rasterise
-from .nodes import TraceError, trace
-from .shading_graph import Formula, shading_metadata
+from ..render.normal_map import MAX_FACES, MAX_SIDE, check_size, rasterise
+from ..shading.functional import oren_nayar
+from .formula import Shading, trace_formula
+from .nodes import Nodes, TraceError, as_model, inline, trace
+from .shading_graph import shading_metadata
 from .task import ExportTask
 
 if TYPE_CHECKING:
@@ -24,50 +25,53 @@ if TYPE_CHECKING:
 MAPS: tuple[str, ...] = ("normal", "mask", "depth", "face")
 """Names of the renderer's outputs, fields of `NormalMap`."""
 MESH: tuple[str, ...] = ("vertices", "faces")
-"""Names of the inputs of both graphs."""
+"""Names of the inputs that every call gives."""
+CAMERA: tuple[str, ...] = ("rotation", "eye", "focal", "centre")
+"""Names of the inputs that are the camera, fields of `Camera` without the batch."""
+VIEW: tuple[str, ...] = (*CAMERA, "size")
+"""Names of the inputs that are part of the file unless the view is an input."""
 SHADING: tuple[str, ...] = ("light", "albedo", "roughness")
 """Names of the inputs that shading adds."""
+MOST_VERTICES = 1 << 31
+"""Bound that the exporter is told, so that products of sizes fit into 64 bits."""
+RENDERER_ERROR = TraceError(
+    "renderer",
+    "a graph that torch.onnx can write",
+    "report this with the versions that `orennayar info` prints",
+)
+"""Where the exporter fails on the renderer, which is ours."""
 
 
 class Renderer(nn.Module):
-    """From a mesh to the maps of `NormalMap`; with a ``model``, shading is returned before them."""
+    """From a mesh and a camera to the maps of `NormalMap` and the view directions."""
 
-    def __init__(self, camera: Camera, size: tuple[int, int], model: str | None) -> None:
+    def __init__(self, *, perspective: bool, near: float) -> None:
         super().__init__()
-        self.camera, self.size, self.model = camera, size, model
+        self.perspective, self.near = perspective, near
 
     def forward(
         self,
         vertices: Tensor,
         faces: Tensor,
-        light: Tensor | None = None,
-        albedo: Tensor | None = None,
-        roughness: Tensor | None = None,
+        rotation: Tensor,
+        eye: Tensor,
+        focal: Tensor,
+        centre: Tensor,
+        canvas: Tensor,
     ) -> tuple[Tensor, ...]:
-        """Maps of `NormalMap`; with a model ``light`` (K, 3), ``albedo`` (C,), ``roughness`` (1,) give (K, C, H, W)."""
-        # A factor that depends on an input: maps made from the camera are computed when the graph runs, where the
-        # exporter would otherwise store them in the file.
-        one = (faces[0, 0] * 0 + 1).to(self.camera.focal)
-        camera = dataclasses.replace(self.camera, focal=self.camera.focal * one)
-        seen = rasterise(vertices[None], faces, camera, self.size)
-        maps = (seen.normal, seen.mask, seen.depth, seen.face)
-        if self.model is None or light is None or albedo is None or roughness is None:
-            return maps
-        if self.camera.is_perspective:
-            view = camera.view_directions(self.size).to(vertices)
-        else:
-            view = vertices.new_tensor((0.0, 0.0, 1.0)).reshape(1, 3, 1, 1)
-        toward = light[:, :, None, None]
-        cosines = [
-            (a * b).sum(1, keepdim=True) for a, b in ((seen.normal, toward), (seen.normal, view), (toward, view))
-        ]
-        formula = Formula(get_model(self.model).function)
-        shading = formula(*cosines, albedo.reshape(1, -1, 1, 1), roughness.reshape(1, 1, 1, 1))
-        return (shading, *maps)
+        """The maps in the order of `MAPS`, then (1, 3, H, W) view directions; ``canvas`` (H, W) only has a size."""
+        camera = Camera(rotation[None], eye[None], focal[None], centre[None], self.perspective, self.near)
+        size = (canvas.shape[0], canvas.shape[1])
+        seen = rasterise(vertices[None], faces, camera, size)
+        return seen.normal, seen.mask, seen.depth, seen.face, camera.view_directions(size).to(vertices)
 
 
-def renderer_task(camera: Camera | None, size: tuple[int, int] | None, model: str | None) -> ExportTask:
+def renderer_task(
+    camera: Camera | None, size: tuple[int, int] | None, model: str | None, *, view_inputs: bool
+) -> ExportTask:
     """`render_normals` of one mesh, followed by shading with ``model`` unless that is None.
+
+    With ``view_inputs`` the graph takes camera and size as inputs; otherwise those given are part of it.
 
     Raises:
         ExportError: there is not one camera and a size.
@@ -78,67 +82,172 @@ def renderer_task(camera: Camera | None, size: tuple[int, int] | None, model: st
         raise ExportError("camera, size", expected="one camera and (H, W)", got=got, mend="give camera= and size=")
     check_size(size)
     camera.rays(size)  # raises where camera and size do not fit
-    renderer = Renderer(camera, size, None if model is None else get_model(model).name)
-    inputs = MESH if model is None else MESH + SHADING
-    return ExportTask(renderer_graph(renderer), _metadata(renderer), inputs, renderer_trials(renderer), renderer)
+    renderer = Renderer(perspective=camera.is_perspective, near=camera.near)
+    model = None if model is None else get_model(model).name
+
+    own = [*(getattr(camera, name)[0].detach().cpu().float() for name in CAMERA), torch.tensor(size)]
+
+    def render(*inputs: Tensor) -> tuple[Tensor, ...]:
+        view_of = inputs[2:7] if view_inputs else own
+        height, width = view_of[-1].tolist()
+        *maps, view = renderer(*inputs[:2], *view_of[:-1], torch.empty(()).expand(height, width))
+        if model is None:
+            return tuple(maps)
+        light, albedo, roughness = inputs[-3:]
+        toward, paint = light[:, :, None, None], albedo.reshape(1, -1, 1, 1)
+        return (oren_nayar(maps[0], toward, view, paint, roughness.reshape(1, 1, 1, 1), model=model), *maps)
+
+    inputs = (*MESH, *(VIEW if view_inputs else ()), *(() if model is None else SHADING))
+    graph = renderer_graph(renderer, model, None if view_inputs else own)
+    trials = renderer_trials(camera, own, model, view_inputs=view_inputs)
+    return ExportTask(
+        graph, _metadata(camera, own[-1].tolist(), model, view_inputs=view_inputs), inputs, trials, render
+    )
 
 
-def _metadata(renderer: Renderer) -> dict[str, str]:
+def _metadata(camera: Camera, size: list[int], model: str | None, *, view_inputs: bool) -> dict[str, str]:
     """Meaning and units."""
-    camera, (height, width) = renderer.camera, renderer.size
     kind = "perspective" if camera.is_perspective else "orthographic"
+    extent = "per unit tangent" if camera.is_perspective else "per world unit"
+    near = f"near plane at {camera.near:g} world units" if camera.is_perspective else "clips nothing"
     metadata = {
-        "camera": f"{kind}, eye {camera.eye[0].tolist()}, rotation {camera.rotation[0].tolist()}, "
-        f"focal {camera.focal[0].tolist()} and centre {camera.centre[0].tolist()} in half image heights",
-        "size": f"{height} x {width}",
-        "depth": "distance along the viewing axis, infinite where nothing is seen",
+        "vertices": "world frame",
+        "faces": "corners, counter-clockwise as seen from the front; each must name a vertex",
+        "normal": "camera frame, unit, 0 where nothing is seen",
+        "depth": "distance along the viewing axis, world units, infinite where nothing is seen",
         "face": "index of the visible face, -1 for none",
     }
-    return metadata if renderer.model is None else metadata | shading_metadata(renderer.model)
-
-
-def renderer_graph(renderer: Renderer) -> onnx.ModelProto:
-    """The graph; the numbers of vertices, faces, lights and channels are dynamic."""
-    shaded = renderer.model is not None
-    inputs = MESH + SHADING if shaded else MESH
-    outputs = ("shading", *MAPS) if shaded else MAPS
-    example: tuple[Tensor, ...] = (torch.rand(5, 3), torch.tensor([[0, 1, 2], [1, 2, 3], [2, 3, 4]]))
-    shapes: dict[str, dict[int, Any]] = {n: {0: torch.export.Dim(n)} for n in MESH}
-    if shaded:
-        example = (*example, torch.rand(4, 3), torch.rand(2), torch.rand(1))
-        shapes |= {
-            "light": {0: torch.export.Dim("lights")},
-            "albedo": {0: torch.export.Dim("channels")},
-            "roughness": {},
+    if view_inputs:
+        metadata |= {
+            "camera": f"{kind}, {near}",
+            "rotation": "world to camera; rows are right, up and back",
+            "eye": "position of the camera in the world",
+            "focal": f"half image heights {extent}, x and y",
+            "centre": "principal point from the image centre in half heights, right and up",
+            "size": f"height and width in pixels, 1 to {MAX_SIDE}",
         }
-    error = TraceError(
-        "renderer",
-        "a graph that torch.onnx can write",
-        "report this with the versions that `orennayar info` prints",
+    else:
+        metadata |= {
+            "camera": f"{kind}, {near}, eye {camera.eye[0].tolist()}, rotation {camera.rotation[0].tolist()}, "
+            f"focal {camera.focal[0].tolist()} half image heights {extent}, "
+            f"centre {camera.centre[0].tolist()} half image heights",
+            "size": f"{size[0]} x {size[1]}",
+        }
+    return metadata if model is None else metadata | shading_metadata(model)
+
+
+def renderer_graph(renderer: Renderer, model: str | None, view: list[Tensor] | None) -> onnx.ModelProto:
+    """The graph; the numbers of vertices, faces, lights and channels are dynamic.
+
+    Args:
+        renderer: the kind of camera.
+        model: the model to shade with, or None.
+        view: values of `VIEW` to store in the graph, or None where they are inputs.
+    """
+    from onnx import numpy_helper
+    from onnx.utils import Extractor
+
+    traced = traced_renderer(perspective=renderer.perspective, near=renderer.near)
+    if model is not None:
+        traced = _with_shading(traced, model)
+    else:
+        traced = Extractor(traced).extract_model([*MESH, *VIEW], list(MAPS))
+    if view is None:
+        return traced
+    graph = traced.graph
+    fixed = dict(zip(VIEW, view, strict=True))
+    graph.initializer.extend(numpy_helper.from_array(v.numpy(), name) for name, v in fixed.items())
+    inputs = [value for value in graph.input if value.name not in fixed]
+    del graph.input[:]
+    graph.input.extend(inputs)
+    for value in graph.output:
+        for axis, length in zip(value.type.tensor_type.shape.dim[-2:], view[-1].tolist(), strict=True):
+            axis.dim_value = length
+    return traced
+
+
+def traced_renderer(*, perspective: bool, near: float) -> onnx.ModelProto:
+    """The graph of `Renderer` with an input ``size`` (2,) int64 in place of the canvas."""
+    from onnx import TensorProto, helper, numpy_helper
+
+    dim = torch.export.Dim
+    example = (
+        torch.rand(5, 3),
+        torch.tensor([[0, 1, 2], [1, 2, 3], [2, 3, 4]]),
+        torch.eye(3),
+        *(torch.rand(n) for n in (3, 2, 2)),
+        torch.zeros(9, 8),
     )
-    with torch_private.without_runtime_assertions():
-        return trace(lambda: _program(renderer, example, shapes), example, inputs, outputs, shapes, error)
+    sizes: tuple[dict[int, Any], ...] = (
+        {0: dim("vertices", max=MOST_VERTICES)},
+        {0: dim("faces", max=MAX_FACES)},
+        *({},) * len(CAMERA),
+        {0: dim("height", max=MAX_SIDE), 1: dim("width", max=MAX_SIDE)},
+    )
+    renderer = Renderer(perspective=perspective, near=near)
+    outputs = (*MAPS, "view")
+    traced = trace(lambda: renderer, example, (*MESH, *CAMERA, "canvas"), outputs, sizes, RENDERER_ERROR)
+    graph = traced.graph
+    for node in graph.node:
+        if "canvas" in node.input:  # its shape is all that is read
+            first, last = _range_of_shape(node)
+            node.op_type, node.input[:] = "Slice", ["size", f"axis_{first}", f"axis_{last}"]
+            del node.attribute[:]
+    graph.initializer.extend(numpy_helper.from_array(torch.tensor([k]).numpy(), f"axis_{k}") for k in range(3))
+    del graph.input[-1]
+    graph.input.append(helper.make_tensor_value_info("size", TensorProto.INT64, [2]))
+    return traced
 
 
-def _program(
-    renderer: Renderer, example: tuple[Tensor, ...], shapes: dict[str, dict[int, Any]]
-) -> torch.export.ExportedProgram:
-    """The renderer as a program without the checks of the numbers of faces and pixels, which ONNX cannot express."""
-    traced = torch.export.export(renderer, example, dynamic_shapes=shapes, strict=False)
-    program: torch.export.ExportedProgram = traced.run_decompositions()
-    for node in list(program.graph.nodes):
-        if "assert" in str(node.target) or "sym_constrain" in str(node.target):
-            program.graph.erase_node(node)
-    program.graph.eliminate_dead_code()
-    return program
+def _range_of_shape(node: onnx.NodeProto) -> tuple[int, int]:
+    """First and last axis, the latter excluded, of a node ``Shape`` of two axes."""
+    limits = {attribute.name: attribute.i for attribute in node.attribute}
+    return limits.get("start", 0), limits.get("end", 2)
 
 
-def renderer_trials(renderer: Renderer) -> list[tuple[Tensor, ...]]:
-    """A sphere in view, and random triangles of all sizes around the eye, some of them behind it."""
+def _with_shading(traced: onnx.ModelProto, model: str) -> onnx.ModelProto:
+    """The renderer's graph with the inputs of `SHADING`, and ``shading`` (K, C, H, W) before its other outputs."""
+    from onnx import TensorProto, helper, numpy_helper
+
+    add = Nodes("shading_")
+    toward = add("Unsqueeze", "light", "last_axes")
+    pairs = (("normal", toward), ("normal", "view"), (toward, "view"))
+    cosines = [add("ReduceSum", add("Mul", *pair), "channel", keepdims=1) for pair in pairs]
+    paint, rough = (add("Reshape", name, "over_channels") for name in ("albedo", "roughness"))
+    formula = trace_formula(Shading(get_model(model).function)).graph
+    names = dict(zip((v.name for v in formula.input), (*cosines, paint, rough), strict=True))
+    (value,), constants = inline(add, formula, "formula_", names)
+    add.nodes.append(helper.make_node("Identity", [value], ["shading"], name="output_shading"))
+    shapes = {"last_axes": [2, 3], "channel": [1], "over_channels": [1, -1, 1, 1]}
+    constants += [numpy_helper.from_array(torch.tensor(v).numpy(), name) for name, v in shapes.items()]
+
+    def floats(name: str, *sizes: str | int) -> onnx.ValueInfoProto:
+        return helper.make_tensor_value_info(name, TensorProto.FLOAT, sizes)
+
+    graph = traced.graph
+    inputs = floats("light", "lights", 3), floats("albedo", "channels"), floats("roughness", 1)
+    outputs = floats("shading", "lights", "channels", "height", "width"), *graph.output[:-1]
+    return as_model(
+        helper.make_graph(
+            [*graph.node, *add.nodes],
+            "shaded_mesh",
+            [*graph.input, *inputs],
+            outputs,
+            [*graph.initializer, *constants],
+        )
+    )
+
+
+def renderer_trials(
+    camera: Camera, own: list[Tensor], model: str | None, *, view_inputs: bool
+) -> list[tuple[Tensor, ...]]:
+    """A sphere in view, and random triangles of all sizes around the eye, some of them behind it.
+
+    If the view is an input, the triangles are seen by another camera, in pictures of other sizes.
+    """
     require("trimesh")
     import trimesh
 
-    camera = renderer.camera
     far = max(4.0, 20 * camera.near) if camera.is_perspective else 2.0
     reach = (far if camera.is_perspective else 1.0) / float(camera.focal.min())
     ball = trimesh.creation.icosphere(2, radius=min(0.9 * reach, 0.9 * far))
@@ -148,12 +257,17 @@ def renderer_trials(renderer: Renderer) -> list[tuple[Tensor, ...]]:
         centre = torch.randn(count, 1, 3, generator=generator) * reach - torch.tensor([0.0, 0, far / 2])
         corners = centre + torch.randn(count, 3, 3, generator=generator) * spread * reach
         meshes.append((corners.reshape(-1, 3), torch.arange(3 * count).reshape(-1, 3)))
-    turn, eye = camera.rotation[0].double().cpu(), camera.eye[0].double().cpu()
-    trials: list[tuple[Tensor, ...]] = [((v.double() @ turn + eye).float(), f) for v, f in meshes]
-    if renderer.model is None:
+    turned = torch.linalg.qr(torch.randn(3, 3, generator=generator))[0]
+    lens = own[2] * torch.tensor([0.8, 0.9]), own[3] + 0.1
+    others = [[turned, own[1] + reach, *lens, torch.tensor(size)] for size in ((37, 53), (64, 1))]
+    trials: list[tuple[Tensor, ...]] = []
+    for (local, faces), view in zip(meshes, (own, *(others if view_inputs else (own, own))), strict=True):
+        world = (local.double() @ view[0].double() + view[1]).float()
+        trials.append((world, faces, *(view if view_inputs else ())))
+    if model is None:
         return trials
     shaded: list[tuple[Tensor, ...]] = []
-    for (vertices, faces), lights, channels in zip(trials, (1, 3, 2), (3, 1, 2), strict=True):
-        light = torch.nn.functional.normalize(torch.randn(lights, 3, generator=generator), dim=1)
-        shaded.append((vertices, faces, light, torch.rand(channels, generator=generator), torch.tensor([0.6])))
+    for trial, lights, channels in zip(trials, (1, 3, 2), (3, 1, 2), strict=True):
+        light = F.normalize(torch.randn(lights, 3, generator=generator), dim=1)
+        shaded.append((*trial, light, torch.rand(channels, generator=generator), torch.tensor([0.6])))
     return shaded

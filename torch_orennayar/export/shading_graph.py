@@ -1,5 +1,7 @@
 """Build the ONNX graph of shading: a formula traced from torch, and around it what makes a runtime fast.
 
+Directions are scaled to unit length and roughness is clamped in the graph, because nobody checks its inputs.
+
 A runtime writes the result of every node to memory. So the cosines of one direction per image are products of matrices,
 one node each, and the formula runs in a loop over bands of image rows whose temporaries fit in cache.
 """
@@ -8,16 +10,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import torch
 import torch.nn.functional as F
-from torch import Tensor, nn
+from torch import Tensor
 
-from ..reflectance.models import ModelFunction, get_model
-from ..shading.evaluate import above_horizon, facing_both
+from ..core.checks import UNIT_TOLERANCE
+from ..reflectance.models import get_model
 from ..shading.functional import oren_nayar
-from .nodes import REFLECTANCE_ERROR, Nodes, as_model, inline, trace
+from .formula import Shading, trace_formula
+from .nodes import Nodes, as_model, inline
 from .task import ExportTask
 
 if TYPE_CHECKING:
@@ -28,38 +31,43 @@ ROW_BAND_ELEMENTS = 1 << 17
 several (more); `scripts/benchmarks/benchmark_onnx.py` times it."""
 INPUTS = ("normal", "light", "view", "albedo", "roughness")
 """Names of the graph's inputs, as `oren_nayar` orders them."""
-_FORMULA_INPUTS = ("ci", "co", "lv", "albedo", "roughness")
-"""Inputs of `Formula`: cosines normal-light, normal-view and light-view, then the parameters."""
+LIMITS = {"smooth": 0.0, "roughest": math.pi / 2, "tiny": 1e-12, "unit": 1.0, "unit_tolerance": 2 * UNIT_TOLERANCE}
+"""Ends of the range of roughness, radians; the least length to divide by; of a unit vector the squared length and by
+how much that may differ; by the name of the initializer."""
 _INDICES = {"zero": 0, "one": 1, "two": 2, "three": 3, "four": 4}
 """Axes and bounds of slices, by the name of the initializer."""
-_TRIAL_SIZES = ((2, 3, 5, 7), (1, 1, 1, 1), (3, 1, 4, 9), (2, 2, 16, 3), (1, 1, 300, ROW_BAND_ELEMENTS // 200))
+TRIAL_SIZES = ((2, 3, 5, 7), (1, 1, 1, 1), (3, 1, 4, 9), (2, 2, 16, 3), (1, 1, 300, ROW_BAND_ELEMENTS // 200))
 """(B, C, H, W) of the trials; the last one takes two bands of rows."""
 
 
-class Formula(nn.Module):
-    """Shading from cosines."""
-
-    def __init__(self, function: ModelFunction) -> None:
-        super().__init__()
-        self.function = function
-
-    def forward(self, ci: Tensor, co: Tensor, lv: Tensor, albedo: Tensor, roughness: Tensor) -> Tensor:
-        """Shading from the cosines normal-light ``ci``, normal-view ``co`` and light-view ``lv``."""
-        value = above_horizon(self.function, ci, co, lv, albedo, roughness)
-        return torch.where(facing_both(ci, co), value * ci, 0.0)
-
-
-def shading_task(model: str, *, per_pixel: bool) -> ExportTask:
-    """`oren_nayar` with ``model``; light and view are maps if ``per_pixel``."""
+def shading_task(model: str, *, per_pixel: bool, checked: bool) -> ExportTask:
+    """`oren_nayar` with ``model``; light and view are maps if ``per_pixel``, ``valid`` is returned if ``checked``."""
     model = get_model(model).name
-    trials = [_random_scene(*size, seed, per_pixel) for seed, size in enumerate(_TRIAL_SIZES)]
-    trials += [_constant_parameters(trials[0]), _constant_parameters(trials[-1])]
+    trials = [random_scene(*size, seed, per_pixel) for seed, size in enumerate(TRIAL_SIZES)]
+    trials += [constant_parameters(trials[0]), constant_parameters(trials[-1]), out_of_range(trials[0])]
     metadata = shading_metadata(model) | {"axes": "every axis of size 1 broadcasts"}
+    if checked:
+        metadata["valid"] = "true where directions are unit and albedo and roughness are in their ranges"
 
     def shade(*inputs: Tensor) -> tuple[Tensor, ...]:
-        return (oren_nayar(*inputs, model=model),)
+        return (shade_anything(*inputs, model=model), *([in_range(*inputs)] if checked else []))
 
-    return ExportTask(shading_graph(model, per_pixel=per_pixel), metadata, INPUTS, trials, shade)
+    return ExportTask(shading_graph(model, per_pixel=per_pixel, checked=checked), metadata, INPUTS, trials, shade)
+
+
+def shade_anything(
+    normal: Tensor, light: Tensor, view: Tensor, albedo: Tensor, roughness: Tensor, *, model: str
+) -> Tensor:
+    """`oren_nayar` of directions scaled to unit length and of the nearest roughness in its range."""
+    normal, light, view = (F.normalize(d, dim=1, eps=LIMITS["tiny"]) for d in (normal, light, view))
+    return oren_nayar(normal, light, view, albedo, roughness.clamp(0.0, LIMITS["roughest"]), model=model)
+
+
+def in_range(normal: Tensor, light: Tensor, view: Tensor, albedo: Tensor, roughness: Tensor) -> Tensor:
+    """Where the inputs are what `oren_nayar` takes, (B, 1, H, W) bool."""
+    unit = [((d * d).sum(1, keepdim=True) - 1).abs() <= LIMITS["unit_tolerance"] for d in (normal, light, view)]
+    rough = (roughness >= 0) & (roughness <= LIMITS["roughest"])
+    return unit[0] & unit[1] & unit[2] & rough & (albedo.amin(1, keepdim=True) >= 0)
 
 
 def shading_metadata(model: str) -> dict[str, str]:
@@ -67,17 +75,20 @@ def shading_metadata(model: str) -> dict[str, str]:
     return {
         "model": model,
         "source": get_model(model).source,
-        "directions": "unit, away from the surface: light to the source, view to the camera",
-        "roughness": "standard deviation of the facet slope angle, radians, 0 to pi/2",
+        "normal": "camera frame, unit; scaled to unit length here, 0 where there is no surface",
+        "light": "unit, from the surface to the light; scaled to unit length here",
+        "view": "unit, from the surface to the camera; scaled to unit length here",
+        "albedo": "0 to 1",
+        "roughness": "standard deviation of the facet slope angle, radians, 0 to pi/2; clamped to that here",
         "shading": "pi f_r max(0, n.l), linear light; a white Lambertian pixel facing the light is 1",
     }
 
 
-def shading_graph(model: str, *, per_pixel: bool) -> onnx.ModelProto:
+def shading_graph(model: str, *, per_pixel: bool, checked: bool = False) -> onnx.ModelProto:
     """The graph of ``model``; light and view are (B, 3, 1, 1), or maps if ``per_pixel``. Every axis is dynamic."""
     from onnx import helper, numpy_helper
 
-    formula = _trace_formula(get_model(model).function).graph
+    formula = trace_formula(Shading(get_model(model).function)).graph
     add = Nodes("")
     maps = _formula_maps(add, per_pixel)
     row_bands = _cut_into_row_bands(add, maps)
@@ -85,23 +96,48 @@ def shading_graph(model: str, *, per_pixel: bool) -> onnx.ModelProto:
     body, formula_constants = _row_band_body(inner, formula, maps, row_bands)
     shaded_bands = add("Loop", row_bands.number, "", add("SequenceEmpty"), body=body)
     add.nodes.append(helper.make_node("ConcatFromSequence", [shaded_bands], ["shading"], axis=2))
+    inputs, shading = signature(per_pixel)
+    outputs = [shading]
+    if checked:
+        add.nodes.append(helper.make_node("Identity", [_valid(add)], ["valid"], name="output_valid"))
+        outputs.append(_picture("valid", "B1HW", {}, boolean=True))
 
     used = {name for node in (*add.nodes, *inner.nodes) for name in node.input}
-    constants = _INDICES | {"band_size": ROW_BAND_ELEMENTS}
-    initializers = [numpy_helper.from_array(torch.tensor([v]).numpy(), n) for n, v in constants.items() if n in used]
+    constants = {n: torch.tensor([v]) for n, v in (_INDICES | {"band_size": ROW_BAND_ELEMENTS}).items()}
+    constants |= {n: torch.tensor(v) for n, v in LIMITS.items()}
+    initializers = [numpy_helper.from_array(v.numpy(), n) for n, v in constants.items() if n in used]
     initializers += formula_constants
-    return as_model(helper.make_graph(add.nodes, "shading", _signature(per_pixel), [_picture("shading")], initializers))
+    return as_model(helper.make_graph(add.nodes, "shading", inputs, outputs, initializers))
 
 
 def _formula_maps(add: Nodes, per_pixel: bool) -> dict[str, str]:
-    """Names of the inputs of the formula: cosines appended to the graph, and the parameters as they are."""
-    maps = {"albedo": "albedo", "roughness": "roughness", "lv": _cosine(add, "light", "view")}
-    for name, direction in (("ci", "light"), ("co", "view")):
-        maps[name] = _cosine(add, "normal", direction) if per_pixel else _cosine_of_one_direction(add, direction)
-    return maps
+    """Names of the inputs of the formula: cosines appended to the graph, and the parameters, roughness in its range."""
+    light, view = (add("Div", direction, length(add, direction)) for direction in ("light", "view"))
+    long = length(add, "normal")
+    maps = {"albedo": "albedo", "roughness": add("Clip", "roughness", "smooth", "roughest")}
+    for name, direction in (("ci", light), ("co", view)):
+        value = cosine(add, "normal", direction) if per_pixel else _cosine_of_one_direction(add, direction)
+        maps[name] = add("Div", value, long)
+    return maps | {"lv": cosine(add, light, view)}
 
 
-def _cosine(add: Nodes, a: str, b: str) -> str:
+def length(add: Nodes, direction: str, at_least: str = "Max") -> str:
+    """Length of a map of directions, (B, 1, H, W), at least `LIMITS` ``tiny``, by the operator ``Max`` or ``Clip``."""
+    return add(at_least, add("Sqrt", cosine(add, direction, direction)), "tiny")
+
+
+def _valid(add: Nodes) -> str:
+    """What `in_range` computes."""
+    valid = add("And", add("GreaterOrEqual", "roughness", "smooth"), add("LessOrEqual", "roughness", "roughest"))
+    least = add("ReduceMin", "albedo", "one", keepdims=1)
+    valid = add("And", valid, add("GreaterOrEqual", least, "smooth"))
+    for direction in ("normal", "light", "view"):
+        excess = add("Abs", add("Sub", cosine(add, direction, direction), "unit"))
+        valid = add("And", valid, add("LessOrEqual", excess, "unit_tolerance"))
+    return valid
+
+
+def cosine(add: Nodes, a: str, b: str) -> str:
     """Inner product of two maps of directions, (B, 1, H, W)."""
     return add("ReduceSum", add("Mul", a, b), "one", keepdims=1)
 
@@ -176,35 +212,31 @@ def _row_band_body(
     return helper.make_graph(inner.nodes, "band", inputs, outputs), formula_constants
 
 
-def _signature(per_pixel: bool) -> list[onnx.ValueInfoProto]:
-    """Inputs broadcast, so each axis that may differ has a name of its own: ``light_batch``, ``albedo_height``."""
-    return [
-        _picture("normal", "3"),
-        *(_picture(name, "3", *(() if per_pixel else ("1", "1"))) for name in ("light", "view")),
-        _picture("albedo"),
-        _picture("roughness", "1"),
-    ]
+def signature(
+    per_pixel: bool, size: tuple[int, int] | None = None
+) -> tuple[list[onnx.ValueInfoProto], onnx.ValueInfoProto]:
+    """Inputs and the output ``shading``; for a ``size`` of one picture of three channels with one light.
+
+    Inputs broadcast, so each axis that may differ has a name of its own: ``light_batch``, ``albedo_height``.
+    """
+    sizes = {"normal": "3HW", "light": "311", "view": "311", "albedo": "CHW", "roughness": "1HW", "shading": "CHW"}
+    if per_pixel:
+        sizes |= {"light": "3HW", "view": "3HW"}
+    known = {} if size is None else {"B": 1, "C": 3, "H": size[0], "W": size[1]}
+    *inputs, output = (_picture(name, f"B{letters}", known) for name, letters in sizes.items())
+    return inputs, output
 
 
-def _picture(name: str, *fixed: str) -> onnx.ValueInfoProto:
-    """Float (B, C, H, W) with ``fixed`` sizes from C on."""
+def _picture(name: str, letters: str, known: Mapping[str, int], *, boolean: bool = False) -> onnx.ValueInfoProto:
+    """A map of float32, or of bool, an axis for every letter of BCHW or digit; letters are dynamic unless ``known``."""
     from onnx import TensorProto, helper
 
-    axes = [f"{name}_{axis}" for axis in ("batch", "channels", "height", "width")]
-    sizes = [axes[0], *(int(size) for size in fixed), *axes[1 + len(fixed) :]]
-    return helper.make_tensor_value_info(name, TensorProto.FLOAT, sizes)
+    names = {"B": f"{name}_batch", "C": f"{name}_channels", "H": f"{name}_height", "W": f"{name}_width"}
+    sizes = [known.get(letter, names[letter]) if letter in names else int(letter) for letter in letters]
+    return helper.make_tensor_value_info(name, TensorProto.BOOL if boolean else TensorProto.FLOAT, sizes)
 
 
-def _trace_formula(function: ModelFunction) -> onnx.ModelProto:
-    """A reflectance function as element-wise nodes."""
-    batch, channels, height, width = (torch.export.Dim(n) for n in ("batch", "channels", "height", "width"))
-    area: dict[int, Any] = {0: batch, 2: height, 3: width}
-    shapes = {name: area | ({1: channels} if name == "albedo" else {}) for name in _FORMULA_INPUTS}
-    example = tuple(torch.rand(2, 3 if name == "albedo" else 1, 5, 7) for name in _FORMULA_INPUTS)
-    return trace(lambda: Formula(function), example, _FORMULA_INPUTS, ("shading",), shapes, REFLECTANCE_ERROR)
-
-
-def _random_scene(batch: int, channels: int, height: int, width: int, seed: int, per_pixel: bool) -> tuple[Tensor, ...]:
+def random_scene(batch: int, channels: int, height: int, width: int, seed: int, per_pixel: bool) -> tuple[Tensor, ...]:
     """Random inputs in the order of `INPUTS`; some pixels face away from light or view."""
     generator = torch.Generator().manual_seed(seed)
     area = (height, width) if per_pixel else (1, 1)
@@ -221,6 +253,13 @@ def _random_scene(batch: int, channels: int, height: int, width: int, seed: int,
     )
 
 
-def _constant_parameters(scene: tuple[Tensor, ...]) -> tuple[Tensor, ...]:
+def constant_parameters(scene: tuple[Tensor, ...]) -> tuple[Tensor, ...]:
     """The normals of a scene under one light, view, albedo and roughness for the whole batch."""
     return scene[0], *(t[:1, :, :1, :1].contiguous() for t in scene[1:])
+
+
+def out_of_range(scene: tuple[Tensor, ...]) -> tuple[Tensor, ...]:
+    """A scene with directions of other lengths, some zero, and roughness in degrees, some negative."""
+    normal, light, view, albedo, roughness = scene
+    scale = torch.linspace(0, 3, roughness.numel()).reshape(roughness.shape)
+    return normal * scale, light * 2.5, view * 0.1, albedo, roughness.rad2deg() - 20

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from torch import Tensor
@@ -10,16 +11,19 @@ from torch import Tensor
 from ..reflectance.models import get_model
 from ..stereo.closed_form import (
     CANDIDATES,
+    REFITS,
     SAMPLES,
     TURNS,
+    Angles,
     Begin,
     Choose,
-    Finish,
     Prepare,
+    Refit,
     Sample,
-    Turn,
+    Update,
     solve_closed_form,
 )
+from .formula import Value, trace_formula
 from .nodes import Nodes
 from .pixel_graph import CAPTURE_METADATA, INPUTS, PixelGraph, capture_trials
 from .task import ExportTask
@@ -29,6 +33,10 @@ if TYPE_CHECKING:
 
 OUTPUTS: dict[str, int | str] = {"normal": 3, "albedo": "channels", "roughness": 1}
 """Names of the graph's outputs with their number of channels, as `solve_closed_form` orders them."""
+FEWEST_LIGHTS = 3
+"""Unknowns of a pixel: the graph refuses fewer lights."""
+EVALUATED = ("ci", "co", "albedo", "value")
+"""Inputs of the steps that know what the model said: two cosines, the albedo and the value."""
 
 
 def stereo_task(model: str) -> ExportTask:
@@ -40,6 +48,9 @@ def stereo_task(model: str) -> ExportTask:
         "source": get_model(model).source,
         "roughness": "one for the object: standard deviation of the facet slope angle, radians; "
         + ("always 0" if model == "lambert" else f"found between {tried} degrees"),
+        "lights": "unit, away from the surface, toward the source; 3 or more, fewer end in an error",
+        "limits": "no near or unknown lights, no light between parts of the surface, no highlights",
+        "normal": "camera frame, unit, 0 outside the mask",
         "method": "trimmed, then reweighted (Geman-McClure) least squares, 10 closed-form solutions",
     }
 
@@ -51,42 +62,64 @@ def stereo_task(model: str) -> ExportTask:
 
 def stereo_graph(model: str) -> onnx.ModelProto:
     """The graph: pixels of the mask are gathered, solved step by step and scattered again; all axes are dynamic."""
-    function, graph = get_model(model).function, PixelGraph({"turns": TURNS})
-    turn = graph.trace(Turn(function), ("grey", "level", "lights", "roughness", "middle", "vector"), 2)
+    graph = PixelGraph({"turns": TURNS, "last_axes": [2, 3]}, FEWEST_LIGHTS)
+    value = trace_formula(Value(get_model(model).function))
     begin = graph.trace(Begin(), ("grey", "lights"), 2)
+    angles = graph.trace(Angles(), ("vector", "level", "lights"), 5)
+    update = graph.trace(Update(), ("grey", "lights", "middle", "vector", *EVALUATED), 2)
+
+    def evaluate(vector: str, level: str, roughness: str, prefix: str, inner: Nodes | None = None) -> list[str]:
+        """Names of the normal, the cosines, the albedo and the model's value."""
+        found = graph.inline(angles, f"{prefix}angles_", (vector, level, "lights"), inner)
+        return found + graph.inline(value, f"{prefix}value_", (*found[1:], roughness), inner)
 
     def solve(grey: str, level: str, roughness: str, prefix: str) -> list[str]:
         middle, vector = graph.inline(begin, f"{prefix}begin_", (grey, "lights"))
-        return _loop(graph, turn, f"{prefix}turn_", (grey, level, "lights", roughness, middle), vector)
+
+        def turn(vector: str, inner: Nodes) -> list[str]:
+            _, ci, co, _, albedo, shown = evaluate(vector, level, roughness, f"{prefix}turn_", inner)
+            inputs = (grey, "lights", middle, vector, ci, co, albedo, shown)
+            return graph.inline(update, f"{prefix}update_", inputs, inner)
+
+        return _loop(graph, turn, f"{prefix}turn_", vector, middle)
 
     grey, level = graph.inline(graph.trace(Prepare(), ("seen",), 2), "prepare_", (graph.observations,))
     roughness = graph.add("Mul", level, "float_zero")
     if model != "lambert":
         few, few_level, tried = graph.inline(graph.trace(Sample(), ("grey", "level"), 3), "sample_", (grey, level))
+        tried = graph.add("Unsqueeze", tried, "last_axes")
         vector, _ = solve(few, few_level, tried, "few_")
-        names = ("grey", "level", "lights", "roughness", "vector")
-        choose = graph.trace(Choose(function), names, 1, len(CANDIDATES) * SAMPLES)
-        (best,) = graph.inline(choose, "choose_", (few, few_level, "lights", tried, vector))
+        _, ci, co, _, albedo, shown = evaluate(vector, few_level, tried, "few_chosen_")
+        choose = graph.trace(Choose(), ("grey", "lights", "vector", *EVALUATED), 1, len(CANDIDATES) * SAMPLES)
+        (best,) = graph.inline(choose, "choose_", (few, "lights", vector, ci, co, albedo, shown))
         roughness = graph.add("Add", roughness, best)
-    vector, weight = solve(grey, level, roughness, "")
-    finish = graph.trace(Finish(function), ("seen", "level", "lights", "roughness", "vector", "weight"), 2)
-    inputs = (graph.observations, level, "lights", roughness, vector, weight)
-    normal, albedo = graph.inline(finish, "finish_", inputs)
-    maps = [graph.scatter(values) for values in (normal, albedo, roughness)]
+    every = graph.add("Unsqueeze", roughness, "last_axes")
+    vector, weight = solve(grey, level, every, "")
+    normal, ci, co, lv, albedo, shown = evaluate(vector, level, every, "solved_")
+    refit = graph.trace(Refit(), ("seen", "weight", *EVALUATED), 2)
+    paint = albedo
+    for step in range(REFITS):
+        if step:
+            (shown,) = graph.inline(value, f"refit_value_{step}_", (ci, co, lv, albedo, every))
+        inputs = (graph.observations, weight, ci, co, albedo, shown)
+        paint, albedo = graph.inline(refit, f"refit_{step}_", inputs)
+    maps = [graph.scatter(values) for values in (normal, paint, roughness)]
     return graph.finish({name: (m, OUTPUTS[name]) for name, m in zip(OUTPUTS, maps, strict=True)})
 
 
-def _loop(graph: PixelGraph, turn: onnx.ModelProto, prefix: str, fixed: tuple[str, ...], vector: str) -> list[str]:
-    """``TURNS`` repetitions of ``turn``, which replaces ``vector`` and its weights; ``fixed`` is read from outside.
+def _loop(
+    graph: PixelGraph, turn: Callable[[str, Nodes], list[str]], prefix: str, vector: str, weight: str
+) -> list[str]:
+    """``TURNS`` repetitions of ``turn``, which appends nodes that replace ``vector`` and its weights.
 
-    Returns the names of the last vector and weights.
+    Returns the names of the last vector and weights; ``weight`` is any value of their shape to begin with.
     """
     from onnx import TensorProto, helper
 
     names = [f"{prefix}{name}" for name in ("index", "condition_before", "vector", "weight")]
     index, condition_before, vector_before, weight_before = names
     inner = Nodes(prefix)
-    updated = graph.inline(turn, prefix, (*fixed, vector_before), inner)
+    updated = turn(vector_before, inner)
     condition = inner("Identity", condition_before)
 
     def floats(name: str) -> onnx.ValueInfoProto:
@@ -100,5 +133,4 @@ def _loop(graph: PixelGraph, turn: onnx.ModelProto, prefix: str, fixed: tuple[st
     ]
     outputs = [helper.make_tensor_value_info(condition, TensorProto.BOOL, []), *map(floats, updated)]
     body = helper.make_graph(inner.nodes, f"{prefix}body", inputs, outputs)
-    # A loop's state needs initial values: the trimming weights, last of ``fixed``, have the right shape.
-    return graph.add.with_outputs(2, "Loop", "turns", "", vector, fixed[-1], body=body)
+    return graph.add.with_outputs(2, "Loop", "turns", "", vector, weight, body=body)

@@ -164,11 +164,11 @@ def _columns(
 
 def _pixel_near(image: Tensor, size: tuple[int, int]) -> Tensor:
     """A pixel centre (2, N) of the image close to every face, relative to which its coordinates are small."""
-    limit = image.new_tensor((size[1], size[0]))[:, None] - 0.5
     ahead = image[2] > 0
     place = image[:2] / torch.where(ahead, image[2], 1.0)
     inside = torch.where(ahead, place, torch.inf).detach().amin(1).floor() + 0.5
-    return torch.minimum(inside.clamp_min(0.5), limit)
+    column, row = inside.clamp_min(0.5)
+    return torch.stack((column.clamp_max(size[1] - 0.5), row.clamp_max(size[0] - 0.5)))
 
 
 def _empty_column(smooth: bool, perspective: bool, like: Tensor) -> Tensor:
@@ -187,8 +187,10 @@ def _grid(rows: slice, size: tuple[int, int], like: Tensor) -> tuple[Tensor, Ten
     """Coordinates of pixel centres: columns (W,) and ``rows`` (R, 1), which are numbered through all views."""
     height, width = size
     x = torch.arange(width, device=like.device, dtype=like.dtype) + 0.5
-    y = (torch.arange(rows.start, rows.stop, device=like.device) % height).to(like.dtype)
-    return x, (y + 0.5)[:, None]
+    y = torch.arange(rows.start, rows.stop, device=like.device)
+    if not exporting():  # a graph has one view
+        y = y % height
+    return x, (y.to(like.dtype) + 0.5)[:, None]
 
 
 def _values(

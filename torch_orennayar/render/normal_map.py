@@ -171,7 +171,7 @@ def rasterise(
     cull: str | None = None,
 ) -> NormalMap:
     """`render_normals` of vertices (B, V, 3) without checks, as it is traced into a graph."""
-    height, width = (int(n) for n in size)
+    height, width = size
     batch = max(world.shape[0], len(camera.eye))
     corners = camera.to_camera_frame(world.double()).expand(batch, -1, -1)
     image = camera.to_image(corners, size)

@@ -14,7 +14,7 @@ import math
 import torch
 from torch import Tensor, nn
 
-from ..reflectance.models import ModelFunction, get_model
+from ..reflectance.models import get_model
 from ..shading.evaluate import above_horizon, facing_both
 from .linear_systems import camera_facing, solve_symmetric
 from .pixel_grid import Grid
@@ -29,6 +29,10 @@ MARGIN = 0.98
 Set by hand."""
 TURNS = 5
 """Number of times that reflectance and noise are updated, with two solutions each. Set by hand."""
+REFITS = 3
+"""Fixed-point steps of the albedo, because light between facets depends on it. Set by hand."""
+ALBEDOS = (1e-4, 1.0)
+"""Albedo with which a model is evaluated: away from 0, by which its value is divided, up to a white facet."""
 PRIOR = 0.05
 """Weight of the previous solution, as a share of the weight of all lights. Set by hand."""
 
@@ -53,20 +57,36 @@ class Begin(nn.Module):
         return middle, _least_squares(grey, lights, middle, torch.ones_like(grey), facing)
 
 
-class Turn(nn.Module):
+class Angles(nn.Module):
+    """What a reflectance model needs to know, in four axes: pixels, channels, lights, 1."""
+
+    def forward(self, vector: Tensor, level: Tensor, lights: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+        """Normals (P, 3); cosines normal-light (P, 1, K, 1), normal-view and light-view; albedo (P, 1, 1, 1)."""
+        normal = camera_facing(vector)
+        ci, co = normal @ lights.T, normal[:, 2:]
+        albedo = (vector.norm(dim=1, keepdim=True) * level).clamp(*ALBEDOS)
+        cosines = ci[:, None, :, None], co[:, :, None, None], lights[None, None, :, 2:]
+        return normal, *cosines, albedo[:, :, None, None]
+
+
+class Update(nn.Module):
     """One update of reflectance and noise, then two reweighted solutions."""
 
-    def __init__(self, function: ModelFunction) -> None:
-        super().__init__()
-        self.function = function
-
     def forward(
-        self, grey: Tensor, level: Tensor, lights: Tensor, roughness: Tensor, middle: Tensor, vector: Tensor
+        self,
+        grey: Tensor,
+        lights: Tensor,
+        middle: Tensor,
+        vector: Tensor,
+        ci: Tensor,
+        co: Tensor,
+        albedo: Tensor,
+        value: Tensor,
     ) -> tuple[Tensor, Tensor]:
-        """The new vector (P, 3) and the weights (P, K) that gave it; ``roughness`` is (P, 1)."""
-        ratio = _ratio(self.function, vector, level, lights, roughness)
+        """The new vector (P, 3) and the weights (P, K) that gave it; ``value`` is the model's, (P, 1, K, 1)."""
+        ratio = _ratio(ci, co, albedo, value)
         missed = (grey - ratio * _lambert(vector, lights)).abs().sort(1)[0]
-        noise = (MAD_TO_SIGMA * quantile(missed, torch.full_like(level[:1], 0.5))).clamp_min(NOISE_FLOOR)
+        noise = (MAD_TO_SIGMA * quantile(missed, torch.full_like(grey[:1, :1], 0.5))).clamp_min(NOISE_FLOOR)
         weight = middle
         for _ in range(2):
             weight = geman_mcclure(middle, grey - ratio * _lambert(vector, lights), noise)
@@ -88,13 +108,11 @@ class Sample(nn.Module):
 class Choose(nn.Module):
     """The roughness that explains the samples best; 0 where none is better than Lambert by a margin."""
 
-    def __init__(self, function: ModelFunction) -> None:
-        super().__init__()
-        self.function = function
-
-    def forward(self, grey: Tensor, level: Tensor, lights: Tensor, roughness: Tensor, vector: Tensor) -> Tensor:
+    def forward(
+        self, grey: Tensor, lights: Tensor, vector: Tensor, ci: Tensor, co: Tensor, albedo: Tensor, value: Tensor
+    ) -> Tensor:
         """Of what `Sample` made and its solutions: the lowest point of a parabola around the best candidate, (1, 1)."""
-        shown = _ratio(self.function, vector, level, lights, roughness) * _lambert(vector, lights)
+        shown = _ratio(ci, co, albedo, value) * _lambert(vector, lights)
         lit, count = soft_in_light(grey), len(CANDIDATES)
         error = (lit * (grey - shown).abs().clamp_max(ERROR_CAP)).sum(1) / lit.sum(1).clamp_min(1.0)
         score = error.reshape(count, SAMPLES).mean(1)
@@ -105,27 +123,17 @@ class Choose(nn.Module):
         return (found * (score.amin(0) < MARGIN * score[0])).reshape(1, 1)
 
 
-class Finish(nn.Module):
-    """Normals, and the albedo of every channel by weighted least squares on the shading."""
-
-    def __init__(self, function: ModelFunction) -> None:
-        super().__init__()
-        self.function = function
+class Refit(nn.Module):
+    """The albedo of every channel by weighted least squares on the shading that the last albedo gave."""
 
     def forward(
-        self, seen: Tensor, level: Tensor, lights: Tensor, roughness: Tensor, vector: Tensor, weight: Tensor
+        self, seen: Tensor, weight: Tensor, ci: Tensor, co: Tensor, albedo: Tensor, value: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """Grey's normal (P, 3); albedo (P, C) in the unit of ``seen`` (P, C, K)."""
-        normal = camera_facing(vector)
-        ci, co = (normal @ lights.T)[:, None], normal[:, None, 2:]
-        albedo = (vector.norm(dim=1, keepdim=True) * level)[:, :, None].expand(-1, seen.shape[1], 1)
-        for _ in range(3):  # fixed-point steps: interreflection between facets depends on the albedo
-            rho = albedo.clamp(1e-4, 1.0)
-            value = above_horizon(self.function, ci, co, lights[:, 2], rho, roughness[:, :, None])
-            shown = torch.where(facing_both(ci, co), value / rho * ci, 0.0)
-            weighted = weight[:, None] * shown
-            albedo = (weighted * seen).sum(2, keepdim=True) / (weighted * shown).sum(2, keepdim=True).clamp_min(1e-9)
-        return normal, albedo[:, :, 0].clamp_min(0.0)
+        """Albedo (P, C) in the unit of ``seen`` (P, C, K), and the one to evaluate the model with, (P, C, 1, 1)."""
+        shown = torch.where(facing_both(ci, co), value / albedo * ci, 0.0)[..., 0]
+        weighted = weight[:, None] * shown
+        found = (weighted * seen).sum(2) / (weighted * shown).sum(2).clamp_min(1e-9)
+        return found.clamp_min(0.0), found[:, :, None, None].clamp(*ALBEDOS)
 
 
 def solve_closed_form(images: Tensor, lights: Tensor, mask: Tensor, model: str) -> tuple[Tensor, Tensor, Tensor]:
@@ -142,11 +150,16 @@ def solve_closed_form(images: Tensor, lights: Tensor, mask: Tensor, model: str) 
     """
     inside, function = mask[0], get_model(model).function
 
+    def evaluate(angles: tuple[Tensor, Tensor, Tensor, Tensor], roughness: Tensor) -> Tensor:
+        return above_horizon(function, *angles, roughness[:, :, None, None])
+
     def solve(grey: Tensor, level: Tensor, roughness: Tensor) -> tuple[Tensor, Tensor]:
         middle, vector = Begin()(grey, lights)
         weight = middle
         for _ in range(TURNS):
-            vector, weight = Turn(function)(grey, level, lights, roughness, middle, vector)
+            _, ci, co, lv, albedo = Angles()(vector, level, lights)
+            value = evaluate((ci, co, lv, albedo), roughness)
+            vector, weight = Update()(grey, lights, middle, vector, ci, co, albedo, value)
         return vector, weight
 
     seen = images[:, :, inside].permute(2, 1, 0)
@@ -155,20 +168,22 @@ def solve_closed_form(images: Tensor, lights: Tensor, mask: Tensor, model: str) 
     if model != "lambert":
         few, few_level, tried = Sample()(grey, level)
         vector, _ = solve(few, few_level, tried)
-        roughness = roughness + Choose(function)(few, few_level, lights, tried, vector)
+        _, ci, co, lv, albedo = Angles()(vector, few_level, lights)
+        value = evaluate((ci, co, lv, albedo), tried)
+        roughness = roughness + Choose()(few, lights, vector, ci, co, albedo, value)
     vector, weight = solve(grey, level, roughness)
-    found = *Finish(function)(seen, level, lights, roughness, vector, weight), roughness
-    normal, albedo, roughness = (Grid(inside).draw(values) for values in found)
-    return normal, albedo, roughness
+    normal, ci, co, lv, albedo = Angles()(vector, level, lights)
+    paint = level
+    for _ in range(REFITS):
+        value = evaluate((ci, co, lv, albedo), roughness)
+        paint, albedo = Refit()(seen, weight, ci, co, albedo, value)
+    normal, paint, roughness = (Grid(inside).draw(values) for values in (normal, paint, roughness))
+    return normal, paint, roughness
 
 
-def _ratio(function: ModelFunction, vector: Tensor, level: Tensor, lights: Tensor, roughness: Tensor) -> Tensor:
-    """Shading of the model over Lambert's, (P, K)."""
-    normal = camera_facing(vector)
-    albedo = (vector.norm(dim=1, keepdim=True) * level).clamp(1e-4, 1.0)
-    ci, co = normal @ lights.T, normal[:, 2:]
-    value = above_horizon(function, ci, co, lights[:, 2][None], albedo, roughness)
-    return torch.where(facing_both(ci, co), value / albedo, 1.0).clamp(0.1, 10.0)
+def _ratio(ci: Tensor, co: Tensor, albedo: Tensor, value: Tensor) -> Tensor:
+    """Shading of the model over Lambert's, (P, K), from what `Angles` returns and the model's value."""
+    return torch.where(facing_both(ci, co), value / albedo, 1.0).clamp(0.1, 10.0)[:, 0, :, 0]
 
 
 def _lambert(vector: Tensor, lights: Tensor) -> Tensor:
