@@ -3,9 +3,10 @@
     python -m scripts.benchmarks.benchmark_onnx [--models lambert qualitative vcavity] [--capture FOLDER]
 
 `shading`: one picture of 512 and 1024 pixels squared, one light, grey albedo: torch eager and compiled, ONNX Runtime
-with 1 and 2 threads and, where Chromium, npm and Playwright are installed, the page's WASM with 1 and with all threads.
-Medians; errors are against float64. `stereo`, with a capture: how long both `stereo` graphs take for it, and the angle
-of their normals to torch's. Recorded in results/benchmark_onnx.json.
+with 1 and 2 threads and, where Chromium, npm and Playwright are installed, the page's WASM with 1 and with all threads;
+`portable` is the graph without a loop over bands of rows. `renderer`: the graph that takes the view, with a sphere of
+20,480 triangles. Medians; errors are against float64. `stereo`, with a capture: how long both `stereo` graphs take for
+it, and the angle of their normals to torch's. Recorded in results/benchmark_onnx.json.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import onnxruntime
 import torch
+import trimesh
 from torch import Tensor
 
 import torch_orennayar as ton
@@ -115,8 +117,8 @@ def opened_graph(path: Path, threads: int) -> onnxruntime.InferenceSession:
     return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
 
 
-def in_python(model: str, side: int, graph: Path) -> dict[str, Row]:
-    """Milliseconds and error by runner."""
+def in_python(model: str, side: int, graphs: dict[str, Path]) -> dict[str, Row]:
+    """Milliseconds and error by runner; ``graphs`` by what is added to the runner's name."""
     given = scene(side)
     exact = given.exact(model)
 
@@ -134,10 +136,30 @@ def in_python(model: str, side: int, graph: Path) -> dict[str, Row]:
     def run(session: onnxruntime.InferenceSession) -> Tensor:
         return torch.from_numpy(session.run(None, feeds)[0])
 
-    for threads in (1, 2):
-        session = opened_graph(graph, threads)
-        rows[f"ONNX Runtime, {threads} thread{'s' * (threads > 1)}"] = row(functools.partial(run, session))
+    for kind, graph in graphs.items():
+        for threads in (1, 2):
+            session = opened_graph(graph, threads)
+            rows[f"ONNX Runtime{kind}, {threads} thread{'s' * (threads > 1)}"] = row(functools.partial(run, session))
     return rows
+
+
+def render(folder: Path) -> dict[str, dict[str, Row]]:
+    """The graph of the renderer that takes the view, on a sphere of 20,480 triangles: by side and number of threads."""
+    ball = trimesh.creation.icosphere(5)
+    vertices, faces = torch.tensor(ball.vertices).float(), torch.tensor(ball.faces)
+    camera = ton.Camera.orthographic(1.05)
+    graph = ton.export_onnx("renderer", folder / "renderer.onnx", camera=camera, size=(8, 8), view_inputs=True)
+    feeds = {"vertices": vertices.numpy(), "faces": faces.numpy()}
+    feeds |= {name: getattr(camera, name)[0].numpy() for name in ("rotation", "eye", "focal", "centre")}
+    found: dict[str, dict[str, Row]] = {}
+    for side in SIDES:
+        exact = ton.render_normals(vertices.double(), faces, camera, (side, side)).normal
+        size = {"size": torch.tensor([side, side]).numpy()}
+        for threads in (1, 2):
+            run = functools.partial(opened_graph(graph, threads).run, ["normal"], feeds | size)
+            error = (torch.from_numpy(run()[0]).double() - exact).abs().max().item()
+            found.setdefault(str(side), {})[f"{threads} thread{'s' * (threads > 1)}"] = median(run), error
+    return found
 
 
 def in_browser(page: Page, model: str, side: int) -> tuple[str, Row]:
@@ -204,14 +226,18 @@ def main() -> None:
     sections: dict[str, object] = {}
     with tempfile.TemporaryDirectory() as folder, pages() as opened:
         for model in options.models:
-            graph = ton.export_onnx("shading", Path(folder) / f"{model}.onnx", model=model)
+            graphs = {
+                kind: ton.export_onnx("shading", Path(folder) / f"{model}{kind}.onnx", model=model, portable=bool(kind))
+                for kind in ("", ", portable")
+            }
             sides: dict[str, dict[str, Row]] = {}
             for side in SIDES:
-                rows = in_python(model, side, graph) | dict(in_browser(page, model, side) for page in opened)
+                rows = in_python(model, side, graphs) | dict(in_browser(page, model, side) for page in opened)
                 sides[str(side)] = rows
                 for name, (milliseconds, error) in rows.items():
                     print(f"{model:24}{side:6}  {name:24}{milliseconds:9.1f} ms {error:11.1e}")
             sections[f"shading, {model}"] = sides
+        sections["renderer"] = render(Path(folder))
     if options.capture:
         sections["stereo"] = {"capture": options.capture.name, "graphs": solve_capture(options.capture)}
     record("benchmark_onnx", sections)

@@ -89,8 +89,13 @@ def test_render_draws_a_mesh(orennayar: Run, tmp_path: Path) -> None:
 def test_export_and_info(orennayar: Run, tmp_path: Path) -> None:
     path = tmp_path / "graph.onnx"
     assert orennayar("export", path, "--model", "lambert").status == 0
-    described = orennayar("info", path).out
-    assert "normal: normal_batch, 3, normal_height, normal_width" in described
+    described = json.loads(orennayar("info", path, "--json").out)
+    assert described["inputs"]["normal"] == ["normal_batch", "3", "normal_height", "normal_width"]
+    shown = orennayar("info", path).out
+    assert shown.index("roughness") < shown.index("pi f_r max(0, n.l)") < shown.index("opset: 18")
+    assert "Loop" not in shown
+    assert "Loop" in orennayar("info", path, "--operators").out
+    assert orennayar("info", "--json").status == 1
     overview = orennayar("info").out
     assert "vcavity" in overview
     assert "torch" in overview

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Annotated
@@ -16,11 +17,15 @@ SHOWN = ("torch_orennayar", "torch", "kornia", "opencv-contrib-python-headless",
 
 def info(
     path: Annotated[Path | None, typer.Argument(help="An .onnx file; default: versions and models.")] = None,
+    operators: Annotated[bool, typer.Option("--operators", help="Also how often a graph has each operator.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Everything about a graph, for programs.")] = False,
 ) -> None:
-    """Versions and models, or what is inside an ONNX file."""
+    """Versions and models, or what an ONNX file takes, returns and is."""
     if path is not None:
-        _describe_graph(path)
+        _describe_graph(path, operators=operators, as_json=as_json)
         return
+    if operators or as_json:
+        raise FileError("path", expected="an .onnx file to describe", got="none", mend="give a graph")
     from ..reflectance.models import MODELS
     from .tables import print_table
 
@@ -42,15 +47,21 @@ def _short(number: float | None) -> str:
     return "" if number is None else f"{number:.3g}"
 
 
-def _describe_graph(path: Path) -> None:
+def _describe_graph(path: Path, *, operators: bool, as_json: bool) -> None:
     from ..export.describe import describe_onnx
+    from .tables import print_table
 
     if path.suffix.lower() != ".onnx":
         raise FileError(str(path), expected="an .onnx file", got=path.suffix or "no suffix", mend="give a graph")
-    for key, value in describe_onnx(path).items():
-        if isinstance(value, dict):
-            typer.echo(f"{key}:")
-            for name, entry in value.items():
-                typer.echo(f"  {name}: {', '.join(entry) if isinstance(entry, list) else entry}")
-        else:
-            typer.echo(f"{key}: {value}")
+    found = describe_onnx(path)
+    if as_json:
+        typer.echo(json.dumps(found, indent=2))
+        return
+    for kind, values in (("input", found["inputs"]), ("output", found["outputs"])):
+        rows = [(n, found["types"][n], " x ".join(axes), found["meanings"][n]) for n, axes in values.items()]
+        print_table((kind, "type", "shape", "meaning, unit, range"), rows)
+    shown = {key: text for key, text in found["metadata"].items() if key not in found["meanings"]}
+    for key, text in {**shown, "bytes": found["bytes"], "opset": found["opset"]}.items():
+        typer.echo(f"{key}: {text}")
+    if operators:
+        print_table(("operator", "times"), [(name, str(count)) for name, count in found["operators"].items()])

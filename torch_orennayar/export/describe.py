@@ -26,6 +26,8 @@ class GraphDescription(TypedDict):
         opset: version of the operator set.
         inputs: sizes by name, a name for each dynamic axis.
         outputs: as ``inputs``.
+        types: type of the elements by the name of the input or output, such as ``float32``.
+        meanings: meaning, unit and range by the name of the input or output, "" where the file does not say.
         operators: how often each operator occurs, inside loops too.
         metadata: meaning and units.
     """
@@ -34,6 +36,8 @@ class GraphDescription(TypedDict):
     opset: int
     inputs: dict[str, list[str]]
     outputs: dict[str, list[str]]
+    types: dict[str, str]
+    meanings: dict[str, str]
     operators: dict[str, int]
     metadata: dict[str, str]
 
@@ -55,24 +59,39 @@ def describe_onnx(path: str | os.PathLike[str]) -> GraphDescription:
         raise ExportError(
             str(file), expected="an ONNX file", got=f"{type(error).__name__}: {error}", mend="export it again"
         ) from error
-    operators = list(_operators(model.graph))
+    operators, values = list(_operators(model.graph)), [*model.graph.input, *model.graph.output]
+    metadata = {entry.key: entry.value for entry in model.metadata_props}
     return {
         "bytes": file.stat().st_size,
         "opset": model.opset_import[0].version,
         "inputs": _axes(model.graph.input),
         "outputs": _axes(model.graph.output),
+        "types": {value.name: _type(value) for value in values},
+        "meanings": {value.name: value.doc_string or metadata.get(value.name, "") for value in values},
         "operators": {name: operators.count(name) for name in sorted(set(operators))},
-        "metadata": {entry.key: entry.value for entry in model.metadata_props},
+        "metadata": metadata,
     }
 
 
 def write_metadata(graph: onnx.ModelProto, metadata: Mapping[str, str]) -> None:
-    """Write ``metadata``, the coordinate frame and the version of this package into ``graph``."""
+    """Write ``metadata``, the coordinate frame and the version of this package into ``graph``.
+
+    An input or output that it names carries its meaning with it, where viewers of graphs look for it.
+    """
     import onnx
 
     onnx.helper.set_model_props(graph, {"torch_orennayar": __version__, "frame": FRAME, **metadata})
+    for value in (*graph.graph.input, *graph.graph.output):
+        value.doc_string = metadata.get(value.name, "")
     graph.producer_name = "torch_orennayar"
     graph.producer_version = __version__
+
+
+def _type(value: onnx.ValueInfoProto) -> str:
+    """Type of the elements, as numpy calls it."""
+    import onnx
+
+    return str(onnx.helper.tensor_dtype_to_np_dtype(value.type.tensor_type.elem_type))
 
 
 def _axes(values: Iterable[onnx.ValueInfoProto]) -> dict[str, list[str]]:

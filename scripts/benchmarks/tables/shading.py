@@ -120,6 +120,18 @@ def onnx_shading() -> str:
     return f"{sources(*found.values())}\n\n{table(header, rows)}"
 
 
+def onnx_renderer() -> str:
+    """Milliseconds and errors of the renderer's graph by size and threads."""
+    section = load_section("benchmark_onnx", "renderer")
+    rows = [
+        [f"{side}²", threads, short(milliseconds), f"{error:.0e}"]
+        for side, found in section.results.items()
+        for threads, (milliseconds, error) in found.items()
+    ]
+    header = ["`renderer` graph, sphere of 20,480 triangles", "threads", "milliseconds", "largest error of a normal"]
+    return f"{section.source}\n\n{table(header, rows)}"
+
+
 def onnx_stereo() -> str:
     """Seconds and errors of the stereo graphs."""
     section = load_section("benchmark_onnx", "stereo")
