@@ -4,8 +4,10 @@
     python app.py render renderer.onnx shading.onnx mesh.obj out.png --light 0.3 0.4 0.86 --roughness 35
     python app.py solve stereo.onnx photographs/ out/
 
-The graphs come from `orennayar export`. Angles are in degrees. 8-bit photographs are read as
-sRGB, 16-bit ones as linear light.
+The graphs come from `orennayar export`, in float32 or float16. Angles are in degrees. 8-bit photographs are read as
+sRGB, 16-bit ones as linear light, turned upright as their Exif says. A folder of photographs holds their lights in
+light_directions.txt, lights.txt or one .lp file, and may hold mask.png, light_intensities.txt and a picture called
+ambient, taken with all lights off. Meshes are OBJ, or PLY in text.
 """
 
 from __future__ import annotations
@@ -28,6 +30,13 @@ OTHER_PICTURES = ("mask", "normal", "ambient")
 """How the names of pictures begin that are no photographs of the capture."""
 LIGHT_FILES = ("light_directions.txt", "lights.txt")
 """Names of files of light directions; the first is that of the DiLiGenT captures."""
+NUMBERS: dict[str, Any] = {
+    "tensor(float)": np.float32,
+    "tensor(float16)": np.float16,
+    "tensor(int64)": np.int64,
+    "tensor(bool)": np.bool_,
+}
+"""Types of what a graph takes, as numpy has them."""
 TINY = 1e-12
 """Lower limit of lengths and maxima that are divided by."""
 
@@ -40,11 +49,16 @@ def run(graph: str, **feeds: Array) -> dict[str, Array]:
         session = onnxruntime.InferenceSession(graph, providers=["CPUExecutionProvider"])
     except Exception as error:  # the runtime's errors have no common base class
         sys.exit(f"{graph}: not a graph that ONNX Runtime loads ({error})")
-    names = {i.name for i in session.get_inputs()}
-    if names != set(feeds):
-        sys.exit(f"{graph}: takes {', '.join(sorted(names))}; this command needs one that takes {', '.join(feeds)}")
+    types = {i.name: i.type for i in session.get_inputs()}
+    if types.keys() != feeds.keys():
+        sys.exit(f"{graph}: takes {', '.join(sorted(types))}; this command needs one that takes {', '.join(feeds)}")
+    given = {name: value.astype(NUMBERS[types[name]]) for name, value in feeds.items()}
+    try:
+        found = session.run(None, given)
+    except Exception as error:  # as above
+        sys.exit(f"{graph}: ONNX Runtime stopped ({error})")
     outputs = [o.name for o in session.get_outputs()]
-    return dict(zip(outputs, session.run(None, feeds), strict=True))
+    return {name: v.astype(np.float32) if v.dtype == np.float16 else v for name, v in zip(outputs, found, strict=True)}
 
 
 def to_linear(values: Array) -> Array:
@@ -60,7 +74,7 @@ def to_srgb(light: Array) -> Array:
 
 def read(path: Path) -> tuple[Array, int]:
     """The stored RGB values of a picture, (3, H, W) in [0, 1], and their number of bits."""
-    pixels = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    pixels = cv2.imread(str(path), cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH)  # these turn a picture upright
     if pixels is None:
         sys.exit(f"{path}: not a picture that OpenCV reads")
     bits = 16 if pixels.dtype == np.uint16 else 8
@@ -120,34 +134,53 @@ def relight(options: argparse.Namespace) -> None:
 
 def render(options: argparse.Namespace) -> None:
     """Render and shade a mesh, centred and scaled to the unit sphere."""
-    vertices, faces = read_obj(options.mesh)
+    vertices, faces = read_mesh(options.mesh)
     low, high = vertices.min(0), vertices.max(0)
     vertices = (vertices - (low + high) / 2) / max(float(np.linalg.norm(high - low)) / 2, TINY)
     seen = run(options.renderer, vertices=vertices.astype(np.float32), faces=faces)
     write(options.output, to_srgb(shade(options.shading, seen["normal"][0], options)))
 
 
-def read_obj(path: Path) -> tuple[Array, Array]:
-    """Vertices (V, 3) and triangles (F, 3) of an OBJ file."""
+def read_mesh(path: Path) -> tuple[Array, Array]:
+    """Vertices (V, 3) and triangles (F, 3) of an OBJ file or of a PLY file in text."""
     if not path.is_file():
         sys.exit(f"{path}: no such file")
-    vertices: list[list[float]] = []
-    faces: list[list[int]] = []
     try:
-        for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
-            kind, *words = line.split() or [""]
-            if kind == "v":
-                vertices.append([float(word) for word in words[:3]])
-            elif kind == "f":
-                corners = [int(word.split("/")[0]) for word in words]
-                corners = [c - 1 if c > 0 else c + len(vertices) for c in corners]
-                faces += [[corners[0], *pair] for pair in itertools.pairwise(corners[1:])]
-    except ValueError as error:
-        sys.exit(f"{path}: not an OBJ mesh ({error})")
-    corners_used = np.asarray(faces, np.int64)
-    if not faces or corners_used.min() < 0 or corners_used.max() >= len(vertices):
+        lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+        vertices, polygons = (parse_ply if path.suffix.lower() == ".ply" else parse_obj)(lines)
+    except (ValueError, IndexError) as error:
+        sys.exit(f"{path}: not a mesh that this app reads ({error})")
+    faces = np.asarray([[p[0], *pair] for p in polygons for pair in itertools.pairwise(p[1:])], np.int64)
+    if not len(faces) or faces.min() < 0 or faces.max() >= len(vertices):
         sys.exit(f"{path}: no triangles, or faces with vertices that do not exist")
-    return np.asarray(vertices), corners_used
+    return np.asarray(vertices), faces
+
+
+def parse_obj(lines: list[str]) -> tuple[list[list[float]], list[list[int]]]:
+    """Vertices and polygons of an OBJ file."""
+    vertices: list[list[float]] = []
+    polygons: list[list[int]] = []
+    for line in lines:
+        kind, *words = line.split() or [""]
+        if kind == "v":
+            vertices.append([float(word) for word in words[:3]])
+        elif kind == "f":
+            corners = [int(word.split("/")[0]) for word in words]
+            polygons.append([c - 1 if c > 0 else c + len(vertices) for c in corners])
+    return vertices, polygons
+
+
+def parse_ply(lines: list[str]) -> tuple[list[list[float]], list[list[int]]]:
+    """Vertices and polygons of a PLY file in text, whose vertices begin with x, y and z and whose faces are lists."""
+    end = lines.index("end_header")
+    header = [line.split() for line in lines[:end]]
+    if ["format", "ascii", "1.0"] not in header:
+        raise ValueError("a binary PLY; write it as text")
+    counts = {words[1]: int(words[2]) for words in header if words[0] == "element"}
+    body = [line.split() for line in lines[end + 1 :]]
+    first = counts["vertex"]
+    vertices = [[float(word) for word in words[:3]] for words in body[:first]]
+    return vertices, [[int(w) for w in words[1 : 1 + int(words[0])]] for words in body[first : first + counts["face"]]]
 
 
 def solve(options: argparse.Namespace) -> None:
@@ -175,31 +208,60 @@ def read_photographs(folder: Path, names: list[str]) -> Array:
     intensities = table(file) if file.is_file() else np.ones((len(names), 1))
     if len(intensities) != len(names):
         sys.exit(f"{file}: {len(intensities)} lines for {len(names)} photographs")
+    pictures = (f for f in folder.iterdir() if f.suffix.lower() in PHOTOGRAPH_SUFFIXES)
+    dark = next((read_linear(f) for f in pictures if f.stem.lower() == "ambient"), np.zeros((3, 1, 1), np.float32))
     images: list[Array] = []
     for name, intensity in zip(names, intensities, strict=True):
-        picture, bits = read(folder / name)
-        if images and picture.shape != images[0].shape:
-            sys.exit(f"{name}: {picture.shape[2]} x {picture.shape[1]}, unlike the first photograph")
-        light = to_linear(picture) if bits == 8 else picture
-        images.append((light / intensity.reshape(-1, 1, 1)).astype(np.float32))
+        light = read_linear(folder / name)
+        if images and light.shape != images[0].shape:
+            sys.exit(f"{name}: {light.shape[2]} x {light.shape[1]}, unlike the first photograph")
+        if dark.shape[1:] not in ((1, 1), light.shape[1:]):
+            sys.exit("ambient: another size than the photographs")
+        images.append((np.maximum(light - dark, 0) / intensity.reshape(-1, 1, 1)).astype(np.float32))
     return np.stack(images)
+
+
+def read_linear(path: Path) -> Array:
+    """Linear light of a picture, (3, H, W)."""
+    picture, bits = read(path)
+    return to_linear(picture) if bits == 8 else picture
 
 
 def find_photographs(folder: Path) -> tuple[list[str], Array]:
     """File names of the photographs and their unit light directions, (K, 3)."""
+    listing = sorted(folder.glob("*.lp"))
     file = next((folder / name for name in LIGHT_FILES if (folder / name).is_file()), None)
-    if file is None:
-        sys.exit(f"{folder}: needs {' or '.join(LIGHT_FILES)}, a line `x y z` per photograph")
-    lights = table(file)
     listed = folder / "filenames.txt"
-    if listed.is_file():
-        names = listed.read_text().split()
-    else:
+    if file is not None:
+        lights = table(file)
         pictures = (f for f in folder.iterdir() if f.suffix.lower() in PHOTOGRAPH_SUFFIXES)
         names = sorted(f.name for f in pictures if not f.stem.lower().startswith(OTHER_PICTURES))
+        if listed.is_file():
+            names = listed.read_text().split()
+    elif len(listing) == 1:
+        file = listing[0]
+        names, lights = read_lp(file)
+    else:
+        sys.exit(f"{folder}: needs {' or '.join(LIGHT_FILES)}, a line `x y z` per photograph, or one .lp file")
     if lights.shape != (len(names), 3) or len(names) < 3:
         sys.exit(f"{file}: {lights.shape[0]} lights for {len(names)} photographs; 3 or more of both are needed")
-    return names, lights / np.linalg.norm(lights, axis=1, keepdims=True)
+    lengths = np.linalg.norm(lights, axis=1, keepdims=True)
+    if not (lengths > 0).all():
+        sys.exit(f"{file}: a light without a direction")
+    return names, lights / lengths
+
+
+def read_lp(file: Path) -> tuple[list[str], Array]:
+    """File names and directions of an .lp file: a number of lines, then `name x y z` in each."""
+    first, *lines = file.read_text(encoding="utf-8", errors="replace").strip().splitlines()
+    rows = [line.rsplit(maxsplit=3) for line in lines if line.strip()]
+    try:
+        if int(first.split()[0]) != len(rows):
+            sys.exit(f"{file}: states {first.split()[0]} lights and lists {len(rows)}")
+        lights = np.asarray([[float(word) for word in words[1:]] for words in rows])
+    except ValueError as error:
+        sys.exit(f"{file}: not an .lp file ({error})")
+    return [words[0].replace("\\", "/").rsplit("/", 1)[-1].strip('"') for words in rows], lights
 
 
 def table(file: Path) -> Array:

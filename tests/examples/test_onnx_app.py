@@ -17,6 +17,7 @@ from tests.support.traced_graphs import CAMERA, SIZE
 from torch_orennayar.geometry.mesh import normalise_mesh
 from torch_orennayar.io.capture import save_capture
 from torch_orennayar.io.images import read_image, write_image
+from torch_orennayar.stereo.closed_form import solve_closed_form
 
 APP = Path(__file__).resolve().parents[2] / "examples" / "onnx_app" / "app.py"
 WITHOUT_TORCH = (
@@ -81,6 +82,51 @@ def test_solve(graphs: Path, tmp_path: Path, rough: Scene) -> None:
     assert ton.angular_error(normal, rough.normal, rough.mask).summary()["mean"] < 2
     assert float(done.stdout.split()[-1]) == pytest.approx(30, abs=3)
     assert read_image(tmp_path / "out" / "normal.png").dtype == np.uint16
+
+
+@pytest.mark.slow
+def test_ambient_light_lp_and_exif_are_read_as_the_package_reads_them(
+    graphs: Path, tmp_path: Path, rough: Scene
+) -> None:
+    """Lying 8-bit photographs with an .lp file and light that is always on: the package's images, the same normals."""
+    from PIL import Image
+
+    folder = tmp_path / "capture"
+    folder.mkdir()
+    lines = [str(len(rough.lights))]
+    for k, (picture, light) in enumerate(zip([*rough.images, 0 * rough.images[0]], [*rough.lights, None], strict=True)):
+        seen = (255 * ton.linear_to_srgb((picture + 0.02).clamp(0, 1))).round().byte().permute(1, 2, 0).numpy()
+        name = "ambient.png" if light is None else f"{k:02}.png"
+        exif = Image.Exif()
+        exif[0x112] = 6  # stored on its left side
+        Image.fromarray(np.ascontiguousarray(np.rot90(seen))).save(folder / name, exif=exif)
+        if light is not None:
+            lines.append(f"C:\\rti\\{name} {' '.join(str(v) for v in light.tolist())}")
+    (folder / "scene.lp").write_text("\n".join(lines))
+    write_image(folder / "mask.png", rough.mask.float())
+    done = app("solve", graphs / "stereo.onnx", folder, tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    capture = ton.load_capture(folder)
+    wanted, _, _ = solve_closed_form(capture.images.float(), capture.lights.float(), capture.mask, "vcavity")
+    found = torch.from_numpy(np.load(tmp_path / "out" / "normal.npy"))
+    assert found.shape == wanted.shape
+    error = ton.angular_error(found, wanted, rough.mask).as_subclass(torch.Tensor)
+    assert float(error[rough.mask].max()) < 0.1
+
+
+@pytest.mark.slow
+def test_half_graphs_and_ply(graphs: Path, tmp_path: Path) -> None:
+    import trimesh
+
+    ball = trimesh.creation.icosphere(2)
+    for suffix, options in (("obj", {}), ("ply", {"encoding": "ascii"})):
+        ball.export(tmp_path / f"ball.{suffix}", **options)
+    half = ton.export_onnx("shading", tmp_path / "half.onnx", model="vcavity", dtype=torch.float16)
+    for name, shading in (("ball.obj", graphs / "shading.onnx"), ("ball.ply", half)):
+        done = app("render", graphs / "renderer.onnx", shading, tmp_path / name, tmp_path / f"{name}.png")
+        assert done.returncode == 0, done.stderr
+    pictures = [read_image(tmp_path / f"{name}.png").astype(float) for name in ("ball.obj", "ball.ply")]
+    assert np.abs(pictures[0] - pictures[1]).max() <= 2  # 12.92 x 255 x 2^-11 where sRGB is steepest, and rounding
 
 
 @pytest.mark.parametrize(
