@@ -11,7 +11,7 @@ from ..core.files import check_output
 from ..core.progress import say
 from .options import Azimuth, Elevation, FieldOfView, ModelName, make_camera
 
-Graph = Literal["shading", "renderer", "shaded_mesh", "stereo"]
+Graph = Literal["shading", "renderer", "shaded_mesh", "stereo", "integration"]
 ExportModel = Literal[ModelName, "network"]
 
 

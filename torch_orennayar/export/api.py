@@ -17,6 +17,7 @@ from ..geometry.camera import Camera
 from ..stereo.network_solver import NETWORK
 from .describe import write_metadata
 from .half_precision import to_half
+from .integration_graph import integration_task
 from .module_graph import module_task
 from .network_graph import network_task
 from .portable_graph import portable_task
@@ -71,13 +72,17 @@ def export_onnx(
     are refused, and ``error`` (1, H, W), the expected error of the normal in radians, is returned too;
     interreflections, which `photometric_stereo` removes first, are not removed.
 
+    ``"integration"`` takes ``normal`` (3, H, W) and ``mask`` (1, H, W) bool and returns ``depth`` (1, H, W), height
+    toward the viewer in pixels with mean 0; H and W are dynamic. It bridges the steps of depth that `integrate_normals`
+    finds.
+
     A module of your own, with or without `OrenNayar` inside, needs ``example_inputs``; every axis that the module
     allows to vary is dynamic, except those of size 1 in the example. It is exported in evaluation mode.
 
     Linear light, roughness in radians; opset 18 unless portable. Meaning and units are in the file's metadata.
 
     Args:
-        what: ``"shading"``, ``"renderer"``, ``"shaded_mesh"``, ``"stereo"`` or a module.
+        what: ``"shading"``, ``"renderer"``, ``"shaded_mesh"``, ``"stereo"``, ``"integration"`` or a module.
         path: the file; it appears whole and verified, or not at all.
         model: a name in ``MODELS``, registered ones too, or ``"network"`` (``"stereo"``); unused by
             ``"renderer"`` and modules.
@@ -129,10 +134,12 @@ def export_onnx(
         task = shading_task(model, per_pixel=per_pixel_directions, checked=checked)
     elif what == "stereo":
         task = network_task() if model == NETWORK else stereo_task(model)
+    elif what == "integration":
+        task = integration_task()
     elif what in ("renderer", "shaded_mesh"):
         task = renderer_task(camera, size, model if what == "shaded_mesh" else None, view_inputs=view_inputs)
     else:
-        expected = "'shading', 'renderer', 'shaded_mesh', 'stereo' or a module"
+        expected = "'shading', 'renderer', 'shaded_mesh', 'stereo', 'integration' or a module"
         raise ExportError("what", expected=expected, got=repr(what), mend="choose one")
     if dtype == torch.float16:
         to_half(task.graph)

@@ -78,6 +78,38 @@ def inline(
     return [f"{prefix}{value.name}" for value in graph.output], initializers
 
 
+def repeated(
+    add: Nodes, times: str, prefix: str, state: Sequence[str], step: Callable[..., Sequence[str]]
+) -> list[str]:
+    """A loop of ``times`` steps; returns the names of the last state.
+
+    Args:
+        add: where the loop is appended.
+        times: name of the number of steps.
+        prefix: of all names inside.
+        state: names of float values to begin with.
+        step: called with the `Nodes` of the body and the names of the state before; returns those after.
+    """
+    from onnx import TensorProto, helper
+
+    index, condition_before, *before = (f"{prefix}{k}" for k in ("index", "condition", *range(len(state))))
+    inner = Nodes(prefix)
+    after = step(inner, *before)
+    condition = inner("Identity", condition_before)
+
+    def floats(name: str) -> onnx.ValueInfoProto:
+        return helper.make_tensor_value_info(name, TensorProto.FLOAT, None)
+
+    inputs = [
+        helper.make_tensor_value_info(index, TensorProto.INT64, []),
+        helper.make_tensor_value_info(condition_before, TensorProto.BOOL, []),
+        *map(floats, before),
+    ]
+    outputs = [helper.make_tensor_value_info(condition, TensorProto.BOOL, []), *map(floats, after)]
+    body = helper.make_graph(inner.nodes, f"{prefix}body", inputs, outputs)
+    return add.with_outputs(len(state), "Loop", times, "", *state, body=body)
+
+
 def as_model(graph: onnx.GraphProto, opset: int = OPSET) -> onnx.ModelProto:
     """The graph as a model of the operator set ``opset``."""
     from onnx import helper

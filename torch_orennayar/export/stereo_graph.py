@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from torch import Tensor
@@ -24,7 +23,7 @@ from ..stereo.closed_form import (
     solve_closed_form,
 )
 from .formula import Value, trace_formula
-from .nodes import Nodes
+from .nodes import Nodes, repeated
 from .pixel_graph import CAPTURE_METADATA, INPUTS, PixelGraph, capture_trials
 from .task import ExportTask
 
@@ -76,12 +75,13 @@ def stereo_graph(model: str) -> onnx.ModelProto:
     def solve(grey: str, level: str, roughness: str, prefix: str) -> list[str]:
         middle, vector = graph.inline(begin, f"{prefix}begin_", (grey, "lights"))
 
-        def turn(vector: str, inner: Nodes) -> list[str]:
+        def turn(inner: Nodes, vector: str, _: str) -> list[str]:
             _, ci, co, _, albedo, shown = evaluate(vector, level, roughness, f"{prefix}turn_", inner)
             inputs = (grey, "lights", middle, vector, ci, co, albedo, shown)
             return graph.inline(update, f"{prefix}update_", inputs, inner)
 
-        return _loop(graph, turn, f"{prefix}turn_", vector, middle)
+        # The weights need initial values: the trimming weights have the right shape.
+        return repeated(graph.add, "turns", f"{prefix}turn_", (vector, middle), turn)
 
     grey, level = graph.inline(graph.trace(Prepare(), ("seen",), 2), "prepare_", (graph.observations,))
     roughness = graph.add("Mul", level, "float_zero")
@@ -105,32 +105,3 @@ def stereo_graph(model: str) -> onnx.ModelProto:
         paint, albedo = graph.inline(refit, f"refit_{step}_", inputs)
     maps = [graph.scatter(values) for values in (normal, paint, roughness)]
     return graph.finish({name: (m, OUTPUTS[name]) for name, m in zip(OUTPUTS, maps, strict=True)})
-
-
-def _loop(
-    graph: PixelGraph, turn: Callable[[str, Nodes], list[str]], prefix: str, vector: str, weight: str
-) -> list[str]:
-    """``TURNS`` repetitions of ``turn``, which appends nodes that replace ``vector`` and its weights.
-
-    Returns the names of the last vector and weights; ``weight`` is any value of their shape to begin with.
-    """
-    from onnx import TensorProto, helper
-
-    names = [f"{prefix}{name}" for name in ("index", "condition_before", "vector", "weight")]
-    index, condition_before, vector_before, weight_before = names
-    inner = Nodes(prefix)
-    updated = turn(vector_before, inner)
-    condition = inner("Identity", condition_before)
-
-    def floats(name: str) -> onnx.ValueInfoProto:
-        return helper.make_tensor_value_info(name, TensorProto.FLOAT, None)
-
-    inputs = [
-        helper.make_tensor_value_info(index, TensorProto.INT64, []),
-        helper.make_tensor_value_info(condition_before, TensorProto.BOOL, []),
-        floats(vector_before),
-        floats(weight_before),
-    ]
-    outputs = [helper.make_tensor_value_info(condition, TensorProto.BOOL, []), *map(floats, updated)]
-    body = helper.make_graph(inner.nodes, f"{prefix}body", inputs, outputs)
-    return graph.add.with_outputs(2, "Loop", "turns", "", vector, weight, body=body)

@@ -1,0 +1,135 @@
+"""The ONNX graph that integrates normals to heights: the steps of `geometry.smooth_integration`, traced and joined."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import torch
+from torch import Tensor, nn
+
+from ..geometry.primitives import Ball
+from ..geometry.smooth_integration import (
+    LEVELS,
+    STEPS,
+    Advance,
+    Begin,
+    Centre,
+    Coarsen,
+    Correct,
+    Smooth,
+    Spread,
+    integrate_smooth,
+)
+from .nodes import Nodes, TraceError, as_model, inline, repeated, trace
+from .task import ExportTask
+
+if TYPE_CHECKING:
+    import onnx
+
+INPUTS = ("normal", "mask")
+"""Names of the graph's inputs."""
+STATE = ("depth", "residual", "direction", "before")
+"""What `Advance` replaces in every step."""
+INTEGRATION_ERROR = TraceError(
+    "integration",
+    "a graph that torch.onnx can write",
+    "report this with the versions that `orennayar info` prints",
+)
+"""Where the exporter fails on our own steps."""
+
+
+def integration_task() -> ExportTask:
+    """`integrate_smooth`."""
+    metadata = {
+        "normal": "camera frame, unit",
+        "mask": "true where there is a surface; at least one pixel",
+        "depth": "height toward the viewer in pixels, mean 0 over the mask, 0 outside",
+        "method": f"least squares on slopes, {STEPS} steps of conjugate gradients with multigrid of {LEVELS} grids",
+        "limits": "orthographic view; steps of depth inside the mask are bridged; "
+        "regions that do not touch keep any offset",
+    }
+
+    def solve(normal: Tensor, mask: Tensor) -> tuple[Tensor, ...]:
+        return (integrate_smooth(normal, mask),)
+
+    return ExportTask(integration_graph(), metadata, INPUTS, integration_trials(), solve)
+
+
+def integration_graph() -> onnx.ModelProto:
+    """The graph; height and width are dynamic."""
+    import numpy as np
+    from onnx import TensorProto, helper, numpy_helper
+
+    add, initializers = Nodes(""), list["onnx.TensorProto"]()
+    begin, coarsen = _traced(Begin(), ("normal", "mask"), 2), _traced(Coarsen(), ("weight",), 1)
+    smooth, spread = _traced(Smooth(), ("weight", "residual"), 2), _traced(Spread(), ("coarse",), 1)
+    correct = _traced(Correct(), ("weight", "residual", "depth", "found"), 1)
+    advance = _traced(Advance(), ("weight", *STATE, "guess"), 4)
+
+    def copy(traced: onnx.GraphProto, prefix: str, inputs: Sequence[str], to: Nodes = add) -> list[str]:
+        names = (value.name for value in traced.input)
+        outputs, constants = inline(to, traced, prefix, dict(zip(names, inputs, strict=True)))
+        initializers.extend(constants)
+        return outputs
+
+    weight, residual = copy(begin, "begin_", INPUTS)
+    weights = [weight]
+    for level in range(1, LEVELS):
+        weights += copy(coarsen, f"grid_{level}_", weights[-1:])
+
+    def cycle(inner: Nodes, level: int, residual: str) -> str:
+        depth, left = copy(smooth, f"smooth_{level}_", (weights[level], residual), inner)
+        if level == LEVELS - 1:
+            return depth
+        (wide,) = copy(spread, f"spread_{level}_", (cycle(inner, level + 1, left),), inner)
+        found = inner("Slice", wide, "origin", inner("Shape", depth), "axes")
+        return copy(correct, f"correct_{level}_", (weights[level], residual, depth, found), inner)[0]
+
+    def step(inner: Nodes, *state: str) -> list[str]:
+        return copy(advance, "advance_", (weight, *state, cycle(inner, 0, state[1])), inner)
+
+    nothing, one = add("Mul", residual, "float_zero"), "float_one"
+    depth, *_ = repeated(add, "steps", "step_", (nothing, residual, nothing, one), step)
+    (centred,) = copy(_traced(Centre(), ("depth", "mask"), 1), "centre_", (depth, "mask"))
+    add.nodes.append(helper.make_node("Identity", [centred], ["depth"], name="output_depth"))
+    constants: dict[str, object] = {
+        "steps": STEPS,
+        "origin": [0, 0, 0],
+        "axes": [0, 1, 2],
+        "float_zero": np.float32(0),
+        "float_one": np.ones((1, 1, 1), np.float32),
+    }
+    initializers += [numpy_helper.from_array(np.asarray(value), name) for name, value in constants.items()]
+    area: tuple[str, str] = ("height", "width")
+    inputs = [
+        helper.make_tensor_value_info("normal", TensorProto.FLOAT, [3, *area]),
+        helper.make_tensor_value_info("mask", TensorProto.BOOL, [1, *area]),
+    ]
+    output = helper.make_tensor_value_info("depth", TensorProto.FLOAT, [1, *area])
+    return as_model(helper.make_graph(add.nodes, "integration", inputs, [output], initializers))
+
+
+def _traced(module: nn.Module, inputs: Sequence[str], outputs: int) -> onnx.GraphProto:
+    """The graph of a step that takes the inputs called ``inputs``; heights and widths are dynamic."""
+    names = ("residual", "depth", "direction", "guess", "found", "coarse")
+    examples = {name: torch.rand(1, 12, 10) for name in names} | {
+        "normal": torch.rand(3, 12, 10),
+        "mask": torch.ones(1, 12, 10, dtype=torch.bool),
+        "weight": torch.rand(2, 12, 10),
+        "before": torch.ones(1, 1, 1),
+    }
+    area: dict[int, Any] = {1: torch.export.Dim("height"), 2: torch.export.Dim("width")}
+    sizes = tuple({} if name == "before" else area for name in inputs)
+    example = tuple(examples[name] for name in inputs)
+    found = [f"found_{k}" for k in range(outputs)]
+    return trace(lambda: module, example, inputs, found, sizes, INTEGRATION_ERROR).graph
+
+
+def integration_trials() -> list[tuple[Tensor, ...]]:
+    """Balls in pictures of odd and even sizes, cut by the border too, and a single pixel."""
+    trials: list[tuple[Tensor, ...]] = []
+    for height, width, radius in ((24, 31, 10.0), (65, 40, 30.0), (1, 1, 3.0), (300, 257, 120.0)):
+        normal, mask = Ball(width / 2, height / 2, radius).normals((height, width))
+        trials.append((normal, mask))
+    return trials
