@@ -4,7 +4,7 @@ import { readPicture, toLinear } from "./pictures.js";
 
 export class CaptureError extends Error {}
 
-const LIGHT_FILES = ["light_directions.txt", "lights.txt"];
+const LIGHT_FILES = ["light_directions.txt", "lights.txt", "lights.csv"];
 const PICTURE = /\.(png|jpe?g|webp)$/i;
 const NO_PHOTOGRAPH = /^(mask|normal|ambient)/i;
 const natural = new Intl.Collator("en", { numeric: true }).compare;

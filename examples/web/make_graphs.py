@@ -43,6 +43,8 @@ def main(folder: str) -> None:
     print("exporting photometric stereo", flush=True)
     ton.export_onnx("stereo", target / "stereo.onnx", model="vcavity")
     ton.export_onnx("stereo", target / "stereo_network.onnx", model="network")
+    print("exporting integration", flush=True)
+    ton.export_onnx("integration", target / "integration.onnx")
     print("exporting the renderer, about half a minute", flush=True)
     ton.export_onnx("renderer", target / "renderer.onnx", camera=camera, size=SIZE)
     vertices, faces = bumpy_ball()

@@ -7,11 +7,15 @@ export class PictureError extends Error {}
 // Entries of the table of the sRGB curve: fine enough that every 8-bit value is reached in its dark, steep part.
 const FINE = 1 << 14;
 const CURVE = Uint8ClampedArray.from({ length: FINE + 1 }, (_, k) => {
-  const light = k / FINE;
-  return Math.round(255 * (light <= 0.0031308 ? 12.92 * light : 1.055 * light ** (1 / 2.4) - 0.055));
+  return Math.round(255 * toSrgb(k / FINE));
 });
 
 export const toLinear = (value) => (value <= 0.04045 ? value / 12.92 : ((value + 0.055) / 1.055) ** 2.4);
+
+export function toSrgb(light) {
+  const value = Math.min(Math.max(light, 0), 1);
+  return value <= 0.0031308 ? 12.92 * value : 1.055 * value ** (1 / 2.4) - 0.055;
+}
 
 /** Returns {width, height, bits, planes}: three planes of stored values in [0, 1], one after the other. */
 export async function readPicture(file) {
@@ -69,19 +73,6 @@ export function decodeNormals({ planes }, green) {
   }
   if (!filled || away > filled / 4) throw new PictureError("These colours are no normal map: most are no unit vectors.");
   return normals;
-}
-
-/** Encodes three planes of normals as colours; the green channel points up, the background is black. */
-export function encodeNormals(normals, width, height) {
-  const count = width * height;
-  const image = new ImageData(width, height);
-  for (let i = 0; i < count; i++) {
-    const n = [normals[i], normals[count + i], normals[2 * count + i]];
-    const empty = n.every((x) => x === 0);
-    for (let c = 0; c < 3; c++) image.data[4 * i + c] = empty ? 0 : Math.round((n[c] + 1) * 127.5);
-    image.data[4 * i + 3] = 255;
-  }
-  return image;
 }
 
 const image = { left: null, right: null, difference: null };

@@ -5,7 +5,11 @@ from __future__ import annotations
 import base64
 import json
 import math
+import subprocess
+import threading
 from collections.abc import Iterator
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +24,7 @@ import torch_orennayar as ton
 from tests.support.example_code import CAN_BROWSE, CHROMIUM, WEB, served_page
 from tests.support.objects import Scene
 from torch_orennayar.geometry.mesh import normalise_mesh
+from torch_orennayar.geometry.smooth_integration import integrate_smooth
 from torch_orennayar.io.capture import save_capture
 from torch_orennayar.io.images import read_image, write_image
 from torch_orennayar.stereo.closed_form import solve_closed_form
@@ -289,10 +294,90 @@ def test_a_broken_graph_is_told(browser: Browser, address: str) -> None:
     page.close()
 
 
+def saved(page: Page, kind: str, folder: Path) -> Path:
+    """The file that the page saves."""
+    page.select_option("#saved", kind)
+    with page.expect_download() as download:
+        page.click("#save")
+    target = folder / download.value.suggested_filename
+    download.value.save_as(target)
+    return target
+
+
+@pytest.mark.slow
+def test_results_are_saved_as_python_has_them(page: Page, tmp_path: Path, rough: Scene) -> None:
+    save_capture(tmp_path / "capture", rough.images, rough.lights, rough.mask)
+    page.set_input_files("#files", [f for f in (tmp_path / "capture").iterdir() if f.is_file()])
+    status(page, "solved in")
+    rows, columns = (torch.nonzero(rough.mask[0].any(k)).flatten() for k in (1, 0))
+    window = slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
+    capture = ton.load_capture(tmp_path / "capture")
+    cut = [t.float()[..., window[0], window[1]] for t in (capture.images, capture.mask)]
+    normal, albedo, _ = solve_closed_form(cut[0], capture.lights.float(), cut[1] > 0, "vcavity")
+    mask = (normal != 0).any(0)
+
+    pixels = torch.from_numpy(read_image(saved(page, "normals", tmp_path)).astype(np.float32) / 65535)
+    found = ton.decode_normals(pixels.permute(2, 0, 1))
+    assert (found - normal).abs()[:, mask].max() <= 1e-3
+    assert (pixels.permute(2, 0, 1)[:, ~mask] == 0).all()
+
+    colours = torch.from_numpy(read_image(saved(page, "albedo", tmp_path)).astype(np.float32) / 65535).permute(2, 0, 1)
+    assert (colours - ton.linear_to_srgb(albedo.clamp(0, 1))).abs()[:, mask].max() <= 2e-3
+
+    height = torch.from_numpy(read_image(saved(page, "heights", tmp_path)).astype(np.float32) / 65535)
+    wanted = integrate_smooth(normal, mask[None])[0]
+    low, high = wanted[mask].min(), wanted[mask].max()
+    assert (height.reshape(mask.shape) - (wanted - low) / (high - low)).abs()[mask].max() <= 2e-3
+
+    (surface,) = trimesh.load_scene(saved(page, "glb", tmp_path)).geometry.values()
+    assert len(surface.vertices) == int(mask.sum())
+    assert np.ptp(surface.vertices[:, 2]) == pytest.approx(float(high - low), rel=2e-3)
+    assert (surface.face_normals[:, 2] > 0).mean() > 0.99
+
+
+@pytest.mark.slow
+def test_a_static_host_without_headers_is_enough(browser: Browser, address: str) -> None:
+    """``npm run build``, served by a server that sets no header: one thread, the same pixels."""
+    assert address  # the graphs are there
+    subprocess.run(["node", "build.js"], cwd=WEB, check=True, capture_output=True)
+    handler = partial(SimpleHTTPRequestHandler, directory=str(WEB / "dist"))
+    with ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        page = browser.new_page()
+        page.goto(f"http://localhost:{server.server_address[1]}")
+        page.wait_for_function("document.getElementById('left-time').textContent !== ''")
+        settle(page)
+        assert page.evaluate("crossOriginIsolated") is False
+        assert "1 thread" in str(page.text_content("#device"))
+        normal = stored_normals(WEB / "graphs" / "normal.png")
+        assert np.abs(seen(page, "left") - shown(normal, "vcavity")).max() <= 1
+        page.close()
+        server.shutdown()
+
+
+@pytest.mark.parametrize("width", [390, 1280])
+@pytest.mark.slow
+def test_screen_readers_find_no_serious_fault(browser: Browser, address: str, width: int) -> None:
+    page = browser.new_page(viewport={"width": width, "height": 800})
+    page.goto(address)
+    page.wait_for_function("document.getElementById('left-time').textContent !== ''")
+    page.add_script_tag(path=WEB / "node_modules" / "axe-core" / "axe.min.js")
+    found = page.evaluate("async () => (await axe.run()).violations")
+    assert [(v["id"], v["help"]) for v in found if v["impact"] in ("serious", "critical")] == []
+    page.close()
+
+
 @pytest.mark.slow
 def test_a_phone_needs_no_sideways_scrolling(browser: Browser, address: str) -> None:
+    """And the picture stays in sight beside the controls."""
     page = browser.new_page(viewport={"width": 360, "height": 740}, has_touch=True)
     page.goto(address)
     page.wait_for_function("document.getElementById('left-time').textContent !== ''")
     assert page.evaluate("document.documentElement.scrollWidth") <= 360
+    page.locator("#turn").scroll_into_view_if_needed()
+    page.evaluate("window.scrollTo(0, document.body.scrollHeight)")
+    box = page.locator("#left").bounding_box()
+    assert box is not None
+    assert box["y"] >= 0
+    assert box["y"] + box["height"] <= 740
     page.close()
