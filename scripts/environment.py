@@ -14,7 +14,7 @@ MINIMUM = (3, 10)
 
 
 def prepare(extra: str = "all") -> Path:
-    """Install the project with ``extra``, all, docs or test, unless that was done already; return its python."""
+    """Install the project with ``extra``, a name of pyproject.toml, unless that was done already; return its python."""
     if sys.version_info < MINIMUM:
         sys.exit(f"Python {MINIMUM[0]}.{MINIMUM[1]} or newer is needed, this is {sys.version.split()[0]}")
     home = ROOT / ".venv"
@@ -27,13 +27,16 @@ def prepare(extra: str = "all") -> Path:
         print("making .venv", flush=True)
         subprocess.run([sys.executable, "-m", "venv", str(home)], check=True)
     pip = [str(python), "-m", "pip", "--disable-pip-version-check", "install", "--quiet", "-c", str(CONSTRAINTS)]
-    # torch first and by its exact version: a looser request may bring gigabytes for other devices.
-    torch = next(line for line in CONSTRAINTS.read_text().splitlines() if line.startswith("torch=="))
     print("installing (a few minutes the first time)", flush=True)
-    subprocess.run([*pip, torch], check=True)
+    subprocess.run([*pip, torch_requirement()], check=True)
     subprocess.run([*pip, "--editable", f"{ROOT}[{extra}]"], check=True)
     (home / f".installed-{extra}").write_text(wanted)
     return python
+
+
+def torch_requirement() -> str:
+    """What pip is asked for first: torch by its exact version, as a looser request may bring gigabytes for GPUs."""
+    return next(line for line in CONSTRAINTS.read_text().splitlines() if line.startswith("torch=="))
 
 
 def run(python: Path, *arguments: str) -> None:
