@@ -30,6 +30,7 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "unknown lights, few": stereo.unknown_lights_few,
     "stereo edge cases": stereo.edge_cases,
     "wrong light files": stereo.wrong_light_files,
+    "network errors": stereo.network_errors,
     "confidence": stereo.confidence,
     "two roughnesses": stereo.two_roughnesses,
     "interreflection": stereo.interreflection,
@@ -59,6 +60,7 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "shading speed": shading.shading_speed,
     "shading memory": shading.shading_memory,
     "onnx shading": shading.onnx_shading,
+    "onnx renderer": shading.onnx_renderer,
     "onnx stereo": shading.onnx_stereo,
     "stability": shading.stability,
     "rounding": shading.rounding,
@@ -78,7 +80,8 @@ MARKER = re.compile(r"(<!-- table: (?P<name>[^>]+?) -->\n).*?(<!-- end -->)", re
 
 def files() -> list[Path]:
     """The documents that hold tables."""
-    return [ROOT / "README.md", ROOT / "scripts/benchmarks/README.md", *sorted((ROOT / "examples/guides").glob("*.md"))]
+    single = ("README.md", "scripts/benchmarks/README.md", "torch_orennayar/stereo/set_network.md")
+    return [*(ROOT / name for name in single), *sorted((ROOT / "examples/guides").glob("*.md"))]
 
 
 def block(name: str) -> str:

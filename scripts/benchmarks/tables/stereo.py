@@ -61,6 +61,13 @@ def photographs() -> str:
     return f"{sources(*found.values())}\n\n{table([*header, *published], rows)}"
 
 
+def network_errors() -> str:
+    """Error of the network by object, beside the solver that was not trained."""
+    found, methods = _photographs()
+    rows = [[f"`{m}`", *(fixed(methods[name][m]["mean"], 2) for name in found)] for m in ("network", "auto")]
+    return f"{sources(*found.values())}\n\n{table(['mean angular error in degrees', *found], rows)}"
+
+
 def other_methods() -> str:
     """Mean error and seconds of other people's methods on the same photographs."""
     found, methods = _photographs()
