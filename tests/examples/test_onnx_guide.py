@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shutil
 import subprocess
@@ -35,3 +36,14 @@ def test_node_computes_what_torch_computes(tmp_path: Path) -> None:
     dims, value = re.fullmatch(r"\[ ([\d, ]+) \] ([\d.]+)\n", shown).groups()  # type: ignore[union-attr]
     assert dims == "1, 3, 4, 4"
     assert float(value) == pytest.approx(wanted, abs=1e-5)
+
+
+def test_the_table_of_runtimes_names_the_versions_that_are_tested() -> None:
+    guide = (EXAMPLES / "guides" / "onnx.md").read_text(encoding="utf-8")
+    constraints = (EXAMPLES.parent / "scripts" / "constraints.txt").read_text(encoding="utf-8")
+    package = json.loads((WEB / "package.json").read_text(encoding="utf-8"))
+    (newest,) = re.findall(r'^onnxruntime==([\d.]+); python_version >= "3.11"$', constraints, re.MULTILINE)
+    assert f"| ONNX Runtime, CPU, Python | {newest} |" in guide
+    rows = [line for line in guide.splitlines() if line.startswith("| onnxruntime-web")]
+    assert len(rows) == 3
+    assert all(f"| {package['dependencies']['onnxruntime-web']} |" in row for row in rows)

@@ -9,6 +9,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from tests.support.objects import run_graph
 from tests.support.traced_graphs import CAMERA, SIZE
 from torch_orennayar import ExportError, OrenNayar, export_onnx, oren_nayar
 from torch_orennayar.export.describe import describe_onnx
@@ -105,6 +106,20 @@ def test_half_precision_ends(tmp_path: Path) -> None:
     wanted = oren_nayar(*scene.values(), model="vcavity")
     assert answer.dtype == np.float16
     assert np.abs(answer.astype(np.float32) - wanted.float().numpy()).max() <= 2**-10
+
+
+@pytest.mark.slow
+def test_weights_that_half_precision_holds_take_half_the_space(tmp_path: Path) -> None:
+    """The network's are stored in half precision, so that nothing is lost; rounding of inputs and outputs remains."""
+    images, lights = torch.rand(12, 1, 8, 9), F.normalize(torch.rand(12, 3) + torch.tensor([0, 0, 1.0]), dim=1)
+    mask, answers, sizes = torch.ones(1, 8, 9, dtype=torch.bool), [], []
+    for dtype in (torch.float32, torch.float16):
+        path = export_onnx("stereo", tmp_path / f"{dtype}.onnx", model="network", dtype=dtype)
+        sizes.append(path.stat().st_size)
+        feeds = {"images": images.half().to(dtype), "lights": lights.half().to(dtype), "mask": mask}
+        answers.append(run_graph(path, 0, **feeds)["normal"].float())
+    assert sizes[1] < 0.6 * sizes[0]
+    assert (answers[0] - answers[1]).abs().max() <= 2**-11
 
 
 @pytest.mark.slow
