@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import math
 
+import kornia
 import kornia.augmentation as K
 import pytest
 import torch
@@ -102,10 +103,15 @@ def test_resampled_captures_render_again_nearly(augmentation: K.GeometricAugment
     assert torch.allclose(moved["view"].norm(dim=1), torch.ones_like(length[:, 0]), atol=1e-4)
 
 
+OLD_KORNIA = pytest.mark.skipif(
+    kornia.__version__.startswith("0.8."), reason="kornia 0.8 stretches such a crop, by unequal factors: it is refused"
+)
+
+
 @pytest.mark.parametrize(
     "padding",
     [K.PadTo((60, 64), pad_value=1), K.PadTo((60, 64), pad_mode="reflect"),
-     K.RandomCrop((60, 64), padding=12, padding_mode="reflect", p=1.0),
+     pytest.param(K.RandomCrop((60, 64), padding=12, padding_mode="reflect", p=1.0), marks=OLD_KORNIA),
      K.RandomCrop((60, 64), pad_if_needed=True, fill=1, p=1.0),
      K.RandomAffine(0.0, translate=(0.4, 0.4), padding_mode="reflection", p=1.0),
      K.RandomAffine(0.0, translate=(0.4, 0.4), padding_mode="border", p=1.0)],

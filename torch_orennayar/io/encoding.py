@@ -6,7 +6,7 @@ import os
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import BinaryIO
+from typing import TYPE_CHECKING, BinaryIO
 
 import numpy as np
 import numpy.typing as npt
@@ -16,13 +16,16 @@ from ..core.optional import require
 from .icc import ProfileError, read_profile
 from .srgb import srgb_to_linear
 
+if TYPE_CHECKING:
+    import PIL.Image
+
 Floats = npt.NDArray[np.float32]
 
 ADOBE_RGB_GAMMA = 563 / 256
 """Exponent of Adobe RGB (1998), section 4.3.4.2 of its specification."""
 LINEAR_WITHIN = 0.02
 """A PNG's gAMA this near to 1 says linear light."""
-_EXIF_COLOUR_SPACE, _EXIF_INTEROPERABILITY = 0xA001, 0xA005
+_EXIF_COLOUR_SPACE, _EXIF_FOLDER, _EXIF_INTEROPERABILITY = 0xA001, 0x8769, 0xA005
 _PNG_TRANSFERS = {1: "BT.709", 8: "linear", 13: "sRGB"}
 """Transfer characteristics of a PNG's cICP chunk (ITU-T H.273, table 3) that are understood."""
 
@@ -91,14 +94,20 @@ def _header(file: BinaryIO) -> tuple[dict[object, object], str] | None:
     file.seek(0)
     try:
         with PIL.Image.open(file) as picture:
-            info = dict(picture.info)
-            exif = picture.getexif()
-            names = {exif.get(_EXIF_COLOUR_SPACE), exif.get_ifd(0x8769).get(_EXIF_COLOUR_SPACE)}
-            index = exif.get_ifd(_EXIF_INTEROPERABILITY).get(1)
-            info["exif"] = (1 in names, str(index).strip("\0") == "R03")
-            return info, str(picture.format)
+            return dict(picture.info) | {"exif": _exif_says(picture)}, str(picture.format)
     except Exception:  # Pillow raises many kinds for headers it does not know; damage is found while decoding
         return None
+
+
+def _exif_says(picture: PIL.Image.Image) -> tuple[bool, bool]:
+    """Whether the Exif data name sRGB as the colour space, and Adobe RGB by the index of interoperability."""
+    exif = picture.getexif()
+    names = {exif.get(_EXIF_COLOUR_SPACE), exif.get_ifd(_EXIF_FOLDER).get(_EXIF_COLOUR_SPACE)}
+    try:
+        index = exif.get_ifd(_EXIF_INTEROPERABILITY).get(1)
+    except KeyError:  # Pillow before 13, where there is no such folder
+        index = None
+    return 1 in names, str(index).strip("\0") == "R03"
 
 
 def _linear(where: str) -> StatedEncoding:
