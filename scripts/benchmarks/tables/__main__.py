@@ -31,6 +31,7 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "stereo edge cases": stereo.edge_cases,
     "wrong light files": stereo.wrong_light_files,
     "network errors": stereo.network_errors,
+    "several materials": stereo.several_materials,
     "confidence": stereo.confidence,
     "two roughnesses": stereo.two_roughnesses,
     "interreflection": stereo.interreflection,

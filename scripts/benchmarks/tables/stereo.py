@@ -61,6 +61,21 @@ def photographs() -> str:
     return f"{sources(*found.values())}\n\n{table([*header, *published], rows)}"
 
 
+def several_materials() -> str:
+    """Error on renders of two to eight materials, by solver, of the half that nothing was set on."""
+    section = load_section("evaluate_materials", "judging")
+    methods = ("network", "one material", "auto")
+    rows = []
+    for name, row in section.results.items():
+        errors = [row[m]["mean"] for m in methods]
+        rows.append([name, *least_in_bold(errors, [fixed(e, 2) for e in errors]), f"{row['auto']['materials']:.0f}"])
+    means = [mean_of(section.results, m, "mean") for m in methods]
+    rows.append(["mean", *least_in_bold(means, [fixed(m, 2) for m in means]), ""])
+    rows.append(["seconds, mean", *(short(mean_of(section.results, m, "seconds")) for m in methods), ""])
+    header = ["mean angular error in degrees", "`network`", "one material", "`auto`", "materials found"]
+    return f"{section.source}\n\n{table(header, rows)}"
+
+
 def network_errors() -> str:
     """Error of the network by object, beside the solver that was not trained."""
     found, methods = _photographs()
