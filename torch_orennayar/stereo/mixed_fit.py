@@ -123,8 +123,11 @@ def solve_mixture(band: Band, mixture: Mixture) -> SolvedMaps:
 
 def under_normals(normal: Tensor, band: Band, material: Material) -> PixelFit:
     """`fit_under` of all pixels of a band."""
-    work = lambda part: fit_under(normal[part], band.sample[part], material, band.used)  # noqa: E731
-    return PixelFit.joined(robust_fit.map_chunks(work, band.sample.grey))
+
+    def fit(part: slice) -> PixelFit:
+        return fit_under(normal[part], band.sample[part], material, band.used)
+
+    return PixelFit.joined(robust_fit.map_chunks(fit, band.sample.grey))
 
 
 def _judge(
