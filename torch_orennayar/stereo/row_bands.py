@@ -76,7 +76,7 @@ def solve_bands(
 def band_height(count: int, inside: Tensor) -> int:
     """Rows that are solved together under so many lights."""
     pixels = (BAND if inside.device.type == "cpu" else BAND_ACCELERATOR) // count
-    return max(4 * OVERLAP, pixels // inside.shape[1])
+    return max(3 * OVERLAP, pixels // inside.shape[1])
 
 
 def _solve(band: Band, material: Material, mixture: Mixture | None) -> SolvedMaps:
