@@ -122,7 +122,7 @@ def _as_jpeg(images: Tensor) -> Tensor:
 def captures(half: str, data: Path, count: int) -> list[MixedCapture]:
     """``count`` captures of a half, ``"tuning"`` or ``"judging"``, of 2 to 8 materials each, under 30 to 60 lights.
 
-    The half to judge by was drawn again, from 2000 on, after two rules were changed on seeing the first draw from 1000 on.
+    The half to judge by was drawn again, from 2000 on, after two rules were changed on seeing the draw from 1000 on.
     """
     first = 0 if half == "tuning" else 2000
     meshes = {name: mesh for name, mesh in objects(data / "meshes").items() if name in SHAPES[half]}

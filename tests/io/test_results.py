@@ -4,11 +4,13 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
 from torch_orennayar import Finding, Reconstruction, ShapeError, load_capture, photometric_stereo
 from torch_orennayar.io.capture import Capture
+from torch_orennayar.io.images import read_image
 from torch_orennayar.io.result_animations import write_turntable
 from torch_orennayar.io.result_maps import ResultMaps
 from torch_orennayar.io.results import write_reconstruction
@@ -45,3 +47,22 @@ def test_black_pixels_beside_bright_ones_can_be_animated(tmp_path: Path) -> None
     capture = Capture(torch.zeros(3, 3, *size), torch.eye(3), torch.ones(3, 3), whole.bool(), None, ("a", "b", "c"))
     write_turntable(tmp_path / "turntable.gif", ResultMaps.of(found, capture))
     assert (tmp_path / "turntable.gif").stat().st_size > 1000
+
+
+@pytest.mark.slow
+def test_a_map_of_materials_is_stored_and_drawn(capture_folder: Path, tmp_path: Path) -> None:
+    """Each material in its own colour, in the report too; a later result of one material leaves no map behind."""
+    capture = load_capture(capture_folder)
+    plain = photometric_stereo(capture.images, capture.lights, capture.mask, model="lambert", robust=False)
+    material = torch.arange(capture.mask.shape[2]).div(12, rounding_mode="floor").clamp(max=2)
+    material = torch.where(capture.mask, material.expand_as(capture.mask), -1)
+    write_reconstruction(tmp_path, replace(plain, material=material, falloffs=(1.0,) * 3), capture, title="ball")
+    assert torch.equal(torch.from_numpy(np.load(tmp_path / "material.npy")), material)
+    drawn = read_image(tmp_path / "material_map.png").reshape(-1, 3)
+    colours, count = np.unique(drawn, axis=0, return_counts=True)
+    grey = colours.max(1) == colours.min(1)
+    assert (count[~grey] > 0.01 * len(drawn)).sum() >= 3
+    assert "material_map" in (tmp_path / "report.html").read_text(encoding="utf-8")
+    write_reconstruction(tmp_path, plain, capture, title="ball")
+    assert not (tmp_path / "material_map.png").exists()
+    assert not (tmp_path / "material.npy").exists()

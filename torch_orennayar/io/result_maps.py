@@ -102,8 +102,11 @@ class ResultMaps:
         return bool(inside.numel()) and float(inside.max() - inside.min()) > math.radians(0.1)
 
     def draw(self, folder: Path) -> None:
-        """Write residual, confidence and, where there are any, roughness, highlights and error as figures."""
+        """Write residual and confidence as figures, and materials, roughness, highlights and error if there are any."""
         mask = self.mask
+        if self.material is not None:  # a palette of ten colours, one for each number
+            number = {"material": self.material.clamp_min(0).float()}
+            save_maps(folder / "material_map.png", number, mask, unit="number in the report", top=9, palette="tab10")
         if self.roughness_varies:
             degrees = {"roughness": self.roughness.rad2deg()}
             save_maps(folder / "roughness_map.png", degrees, mask, unit="degrees", top=60)

@@ -65,7 +65,7 @@ class ResultPage:
             sections.append(Section("Under another light, from another side", markup=self.viewer))
         if self.numbers["scores"]:
             sections.append(self._choice())
-        names = ("error", "residual", "confidence", "roughness_map", "specular")
+        names = ("error", "residual", "confidence", "material_map", "roughness_map", "specular")
         maps = [path for path in (self.folder / f"{name}.png" for name in names) if path.is_file()]
         sections += [
             Section("Maps", pictures=maps),

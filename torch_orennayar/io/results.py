@@ -30,8 +30,8 @@ from .textures import perceptual_roughness, write_textures
 from .verdict import verdict
 
 OPTIONAL = {
-    "ball.png", "error.npy", "error.png", "material.npy", "relight.gif", "report.html", "roughness_map.png",
-    "scores.png", "specular.npy", "specular.png", "turntable.gif",
+    "ball.png", "error.npy", "error.png", "material.npy", "material_map.png", "relight.gif", "report.html",
+    "roughness_map.png", "scores.png", "specular.npy", "specular.png", "turntable.gif",
 }  # fmt: skip
 """Files that not every reconstruction has; those of an earlier run into the same folder are removed."""
 RECONSTRUCTION_FILES = OPTIONAL | {
