@@ -90,10 +90,10 @@ class PixelGraph:
             "error_map": (torch.rand(1, 9, 8), area),
             **{n: (torch.rand(number, 7), row | {1: count}) for n in ("grey", "middle", "weight")},
             "level": (torch.rand(number, 1), row),
-            "ci": (torch.rand(number, 1, 7, 1), row | {2: count}),
+            "ci": (torch.rand(number, 1, 1, 7), row | {3: count}),
             "co": (torch.rand(number, 1, 1, 1), row),
             "albedo": (torch.rand(number, 3, 1, 1), row | {1: channels}),
-            "value": (torch.rand(number, 3, 7, 1), row | {1: channels, 2: count}),
+            "value": (torch.rand(number, 3, 1, 7), row | {1: channels, 3: count}),
         }
         return trace(
             module.eval,

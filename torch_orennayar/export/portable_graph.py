@@ -18,7 +18,6 @@ from .shading_graph import (
     TRIAL_SIZES,
     constant_parameters,
     cosine,
-    length,
     out_of_range,
     random_scene,
     shade_anything,
@@ -77,7 +76,8 @@ def portable_graph(model: str, *, per_pixel: bool, size: tuple[int, int] | None)
 
     formula = trace_formula(PortableShading(get_model(model).function)).graph
     add = Nodes("")
-    light, view, normal = (add("Div", name, length(add, name, at_least="Clip")) for name in ("light", "view", "normal"))
+    lengths = {n: add("Clip", add("Sqrt", cosine(add, n, n)), "tiny") for n in ("light", "view", "normal")}
+    light, view, normal = (add("Div", name, long) for name, long in lengths.items())
     cosines = [cosine(add, *pair) for pair in ((normal, light), (normal, view), (light, view))]
     inputs = (*cosines, "albedo", add("Clip", "roughness", "smooth", "roughest"))
     names = dict(zip((value.name for value in formula.input), inputs, strict=True))

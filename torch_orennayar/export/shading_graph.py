@@ -112,8 +112,8 @@ def shading_graph(model: str, *, per_pixel: bool, checked: bool = False) -> onnx
 
 def _formula_maps(add: Nodes, per_pixel: bool) -> dict[str, str]:
     """Names of the inputs of the formula: cosines appended to the graph, and the parameters, roughness in its range."""
-    light, view = (add("Div", direction, length(add, direction)) for direction in ("light", "view"))
-    long = length(add, "normal")
+    light, view = (add("Div", direction, _length(add, direction)) for direction in ("light", "view"))
+    long = _length(add, "normal")
     maps = {"albedo": "albedo", "roughness": add("Clip", "roughness", "smooth", "roughest")}
     for name, direction in (("ci", light), ("co", view)):
         value = cosine(add, "normal", direction) if per_pixel else _cosine_of_one_direction(add, direction)
@@ -121,9 +121,9 @@ def _formula_maps(add: Nodes, per_pixel: bool) -> dict[str, str]:
     return maps | {"lv": cosine(add, light, view)}
 
 
-def length(add: Nodes, direction: str, at_least: str = "Max") -> str:
-    """Length of a map of directions, (B, 1, H, W), at least `LIMITS` ``tiny``, by the operator ``Max`` or ``Clip``."""
-    return add(at_least, add("Sqrt", cosine(add, direction, direction)), "tiny")
+def _length(add: Nodes, direction: str) -> str:
+    """Length of a map of directions, (B, 1, H, W), at least `LIMITS` ``tiny``."""
+    return add("Max", add("ReduceL2", direction, "one", keepdims=1), "tiny")
 
 
 def _valid(add: Nodes) -> str:

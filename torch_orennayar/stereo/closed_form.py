@@ -58,14 +58,14 @@ class Begin(nn.Module):
 
 
 class Angles(nn.Module):
-    """What a reflectance model needs to know, in four axes: pixels, channels, lights, 1."""
+    """What a reflectance model needs to know, in four axes: pixels, channels, 1, lights."""
 
     def forward(self, vector: Tensor, level: Tensor, lights: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-        """Normals (P, 3); cosines normal-light (P, 1, K, 1), normal-view and light-view; albedo (P, 1, 1, 1)."""
+        """Normals (P, 3); cosines normal-light (P, 1, 1, K), normal-view and light-view; albedo (P, 1, 1, 1)."""
         normal = camera_facing(vector)
         ci, co = normal @ lights.T, normal[:, 2:]
         albedo = (vector.norm(dim=1, keepdim=True) * level).clamp(*ALBEDOS)
-        cosines = ci[:, None, :, None], co[:, :, None, None], lights[None, None, :, 2:]
+        cosines = ci[:, None, None], co[:, :, None, None], lights[None, None, None, :, 2]
         return normal, *cosines, albedo[:, :, None, None]
 
 
@@ -83,7 +83,7 @@ class Update(nn.Module):
         albedo: Tensor,
         value: Tensor,
     ) -> tuple[Tensor, Tensor]:
-        """The new vector (P, 3) and the weights (P, K) that gave it; ``value`` is the model's, (P, 1, K, 1)."""
+        """The new vector (P, 3) and the weights (P, K) that gave it; ``value`` is the model's, (P, 1, 1, K)."""
         ratio = _ratio(ci, co, albedo, value)
         missed = (grey - ratio * _lambert(vector, lights)).abs().sort(1)[0]
         noise = (MAD_TO_SIGMA * quantile(missed, torch.full_like(grey[:1, :1], 0.5))).clamp_min(NOISE_FLOOR)
@@ -130,7 +130,7 @@ class Refit(nn.Module):
         self, seen: Tensor, weight: Tensor, ci: Tensor, co: Tensor, albedo: Tensor, value: Tensor
     ) -> tuple[Tensor, Tensor]:
         """Albedo (P, C) in the unit of ``seen`` (P, C, K), and the one to evaluate the model with, (P, C, 1, 1)."""
-        shown = torch.where(facing_both(ci, co), value / albedo * ci, 0.0)[..., 0]
+        shown = torch.where(facing_both(ci, co), value / albedo * ci, 0.0)[:, :, 0]
         weighted = weight[:, None] * shown
         found = (weighted * seen).sum(2) / (weighted * shown).sum(2).clamp_min(1e-9)
         return found.clamp_min(0.0), found[:, :, None, None].clamp(*ALBEDOS)
@@ -183,7 +183,7 @@ def solve_closed_form(images: Tensor, lights: Tensor, mask: Tensor, model: str) 
 
 def _ratio(ci: Tensor, co: Tensor, albedo: Tensor, value: Tensor) -> Tensor:
     """Shading of the model over Lambert's, (P, K), from what `Angles` returns and the model's value."""
-    return torch.where(facing_both(ci, co), value / albedo, 1.0).clamp(0.1, 10.0)[:, 0, :, 0]
+    return torch.where(facing_both(ci, co), value / albedo, 1.0).clamp(0.1, 10.0)[:, 0, 0]
 
 
 def _lambert(vector: Tensor, lights: Tensor) -> Tensor:
