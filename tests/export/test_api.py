@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import onnx
 import onnxruntime
 import pytest
 import torch
@@ -330,3 +331,12 @@ def test_bad_input(tmp_path: Path) -> None:
     for name in ("no.onnx", "absent.onnx"):
         with pytest.raises(ExportError, match=name):
             describe_onnx(tmp_path / name)
+
+
+def test_types_that_are_no_tensors_are_described_as_unknown(tmp_path: Path) -> None:
+    """And those that the installed onnx does not know."""
+    tensor = onnx.helper.make_tensor_type_proto(onnx.TensorProto.FLOAT, None)
+    values = [onnx.helper.make_value_info(n, onnx.helper.make_sequence_type_proto(tensor)) for n in "ab"]
+    graph = onnx.helper.make_graph([onnx.helper.make_node("Identity", ["a"], ["b"])], "g", values[:1], values[1:])
+    onnx.save(onnx.helper.make_model(graph), tmp_path / "sequence.onnx")
+    assert describe_onnx(tmp_path / "sequence.onnx")["types"] == {"a": "unknown", "b": "unknown"}

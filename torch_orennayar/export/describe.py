@@ -88,10 +88,13 @@ def write_metadata(graph: onnx.ModelProto, metadata: Mapping[str, str]) -> None:
 
 
 def _type(value: onnx.ValueInfoProto) -> str:
-    """Type of the elements, as numpy calls it."""
+    """Type of the elements, as numpy calls it; "unknown" of an input that is no tensor, or of a type yet to come."""
     import onnx
 
-    return str(onnx.helper.tensor_dtype_to_np_dtype(value.type.tensor_type.elem_type))
+    try:
+        return str(onnx.helper.tensor_dtype_to_np_dtype(value.type.tensor_type.elem_type))
+    except (KeyError, ValueError, TypeError):
+        return "unknown"
 
 
 def _axes(values: Iterable[onnx.ValueInfoProto]) -> dict[str, list[str]]:
