@@ -26,19 +26,6 @@ ELEMENTWISE = frozenset({
 """Operators of ONNX that treat every element alike and broadcast: a graph of these alone serves every size."""
 
 
-class Shading(nn.Module):
-    """Shading from cosines."""
-
-    def __init__(self, function: ModelFunction) -> None:
-        super().__init__()
-        self.function = function
-
-    def forward(self, ci: Tensor, co: Tensor, lv: Tensor, albedo: Tensor, roughness: Tensor) -> Tensor:
-        """Value of the model times ``ci``, 0 where the surface faces away from light or view."""
-        value = above_horizon(self.function, ci, co, lv, albedo, roughness)
-        return torch.where(facing_both(ci, co), value * ci, 0.0)
-
-
 class Value(nn.Module):
     """pi times the bidirectional reflectance from cosines, evaluated above the horizon."""
 
@@ -51,8 +38,16 @@ class Value(nn.Module):
         return above_horizon(self.function, ci, co, lv, albedo, roughness)
 
 
-def trace_formula(formula: nn.Module) -> onnx.ModelProto:
-    """The graph of `Shading` or `Value`, for cosines and parameters of any sizes that broadcast.
+class Shading(Value):
+    """Shading from cosines."""
+
+    def forward(self, ci: Tensor, co: Tensor, lv: Tensor, albedo: Tensor, roughness: Tensor) -> Tensor:
+        """Value of the model times ``ci``, 0 where the surface faces away from light or view."""
+        return torch.where(facing_both(ci, co), super().forward(ci, co, lv, albedo, roughness) * ci, 0.0)
+
+
+def trace_formula(formula: Value) -> onnx.ModelProto:
+    """The graph of a formula, for cosines and parameters of any sizes that broadcast.
 
     Tracing with sizes that vary takes three times as long, and is left to functions that look at sizes.
     """

@@ -41,7 +41,7 @@ def network_task() -> ExportTask:
 def network_graph() -> onnx.ModelProto:
     """The graph of `solve_network`; the last output, ``error``, is the error that the network expects, radians."""
     graph = PixelGraph(
-        {"chunk": [CHUNK], "rows_of_three": [-1, 3], "column": [-1, 1], "step": 1, "right_angle": [math.pi / 2]},
+        {"chunk": [CHUNK], "rows_of_three": [-1, 3], "column": [-1, 1], "right_angle": [math.pi / 2]},
         TRAINED_LIGHTS,
     )
     add = graph.add

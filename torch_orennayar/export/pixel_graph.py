@@ -46,8 +46,7 @@ class PixelGraph:
             "one": [1],
             "axis": 0,
             "float_zero": [0.0],
-            "first": 0,
-            "every": 1,
+            "step": 1,
             "last_needed": fewest_lights - 1,
             **constants,
         }
@@ -67,7 +66,7 @@ class PixelGraph:
 
         add, taken = self.add, f"refuse_fewer_than_{fewest}_lights"
         count = add("Squeeze", add("Shape", "lights", end=1), "zero")
-        numbers = add("Range", "first", count, "every")
+        numbers = add("Range", "axis", count, "step")
         add.nodes.append(helper.make_node("Gather", [numbers, "last_needed"], [taken], name=taken))
         return add("Sub", taken, "last_needed")
 

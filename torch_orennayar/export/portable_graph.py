@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from torch import Tensor, nn
+from torch import Tensor
 
 from ..core.errors import ExportError
-from ..reflectance.models import ModelFunction, get_model
+from ..reflectance.models import get_model
 from ..render.normal_map import check_size
-from ..shading.evaluate import above_horizon
-from .formula import trace_formula
+from .formula import Value, trace_formula
 from .nodes import Nodes, as_model, inline
 from .shading_graph import (
     INPUTS,
@@ -38,17 +37,12 @@ STEEP = 1e30
 """Factor that makes a step of a clamped cosine: 1 from 1e-30 on."""
 
 
-class PortableShading(nn.Module):
+class PortableShading(Value):
     """`Shading` without comparisons: pixels that face away from the light or the view are 0 by products."""
-
-    def __init__(self, function: ModelFunction) -> None:
-        super().__init__()
-        self.function = function
 
     def forward(self, ci: Tensor, co: Tensor, lv: Tensor, albedo: Tensor, roughness: Tensor) -> Tensor:
         """Value of the model times the positive part of ``ci``, and 0 where ``co`` is not positive."""
-        value = above_horizon(self.function, ci, co, lv, albedo, roughness)
-        return value * ci.relu() * (co * STEEP).clamp(0.0, 1.0)
+        return super().forward(ci, co, lv, albedo, roughness) * ci.relu() * (co * STEEP).clamp(0.0, 1.0)
 
 
 def portable_task(model: str, *, per_pixel: bool, size: tuple[int, int] | None) -> ExportTask:

@@ -101,8 +101,7 @@ class LearnedNormals(NamedTuple):
 def read_normals(sample: PixelSample, grid: Grid | None = None) -> LearnedNormals:
     """Normals of grey pixels, in their dtype, smoothed where a grid of all of them is given."""
     grey, network = sample.grey, load_network().to(sample.grey.device)
-    most = CHUNK if grey.device.type == "cpu" else CHUNK_ACCELERATOR
-    size = max(1, most // grey.shape[1])
+    size = _chunk(grey.shape[1], grey.device)
     parts = [sample[i : i + size] for i in range(0, len(sample), size)]
 
     def read(part: PixelSample) -> tuple[Tensor, Tensor]:
@@ -157,8 +156,7 @@ def solve_by_network(
     network = (network or load_network()).to(images.device)
     dtype = next(network.parameters()).dtype
     grid, places, flat = Grid(inside), inside.flatten().nonzero().flatten(), images.flatten(2)
-    most = CHUNK if images.device.type == "cpu" else CHUNK_ACCELERATOR
-    chunks = places.split(max(1, most // len(images)))
+    chunks = places.split(_chunk(len(images), images.device))
 
     def observe(chunk: Tensor) -> tuple[Tensor, Tensor]:
         seen = flat[:, :, chunk].permute(2, 1, 0).to(dtype)
@@ -185,3 +183,8 @@ def solve_by_network(
         roughness=grid.draw(torch.zeros_like(error)),
     )
     return maps, grid.draw(error)
+
+
+def _chunk(lights: int, device: torch.device) -> int:
+    """Pixels under so many lights that the network reads together."""
+    return max(1, (CHUNK if device.type == "cpu" else CHUNK_ACCELERATOR) // lights)
