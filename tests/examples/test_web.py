@@ -226,7 +226,7 @@ def test_all_graphs_give_torchs_answer(page: Page, rough: Scene) -> None:
     feeds = {"images": rough.images, "lights": rough.lights, "mask": rough.mask}
     answers = run_in_page(page, "stereo", {k: v.numpy() for k, v in feeds.items()})
     solved = solve_closed_form(rough.images, rough.lights, rough.mask, "vcavity")
-    for name, value in zip(("normal", "albedo", "roughness"), solved, strict=True):
+    for name, value in zip(("normal", "albedo", "roughness", "error"), solved, strict=True):
         assert np.abs(answers[name] - value.numpy()).max() <= 1e-5
 
     answers = run_in_page(page, "stereo_network", {k: v.numpy() for k, v in feeds.items()})
@@ -313,7 +313,7 @@ def test_results_are_saved_as_python_has_them(page: Page, tmp_path: Path, rough:
     window = slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
     capture = ton.load_capture(tmp_path / "capture")
     cut = [t.float()[..., window[0], window[1]] for t in (capture.images, capture.mask)]
-    normal, albedo, _ = solve_closed_form(cut[0], capture.lights.float(), cut[1] > 0, "vcavity")
+    normal, albedo, *_ = solve_closed_form(cut[0], capture.lights.float(), cut[1] > 0, "vcavity")
     mask = (normal != 0).any(0)
 
     pixels = torch.from_numpy(read_image(saved(page, "normals", tmp_path)).astype(np.float32) / 65535)

@@ -16,6 +16,7 @@ from ..stereo.closed_form import (
     Angles,
     Begin,
     Choose,
+    Expect,
     Prepare,
     Refit,
     Sample,
@@ -30,7 +31,7 @@ from .task import ExportTask
 if TYPE_CHECKING:
     import onnx
 
-OUTPUTS: dict[str, int | str] = {"normal": 3, "albedo": "channels", "roughness": 1}
+OUTPUTS: dict[str, int | str] = {"normal": 3, "albedo": "channels", "roughness": 1, "error": 1}
 """Names of the graph's outputs with their number of channels, as `solve_closed_form` orders them."""
 FEWEST_LIGHTS = 3
 """Unknowns of a pixel: the graph refuses fewer lights."""
@@ -50,6 +51,7 @@ def stereo_task(model: str) -> ExportTask:
         "lights": "unit, away from the surface, toward the source; 3 or more, fewer end in an error",
         "limits": "no near or unknown lights, no light between parts of the surface, no highlights",
         "normal": "camera frame, unit, 0 outside the mask",
+        "error": "standard error of the normal by residuals and lights, radians, at most a right angle",
         "method": "trimmed, then reweighted (Geman-McClure) least squares, 10 closed-form solutions",
     }
 
@@ -96,6 +98,8 @@ def stereo_graph(model: str) -> onnx.ModelProto:
     every = graph.add("Unsqueeze", roughness, "last_axes")
     vector, weight = solve(grey, level, every, "")
     normal, ci, co, lv, albedo, shown = evaluate(vector, level, every, "solved_")
+    expect = graph.trace(Expect(), ("grey", "lights", "vector", "weight", *EVALUATED), 1)
+    (error,) = graph.inline(expect, "expect_", (grey, "lights", vector, weight, ci, co, albedo, shown))
     refit = graph.trace(Refit(), ("seen", "weight", *EVALUATED), 2)
     paint = albedo
     for step in range(REFITS):
@@ -103,5 +107,5 @@ def stereo_graph(model: str) -> onnx.ModelProto:
             (shown,) = graph.inline(value, f"refit_value_{step}_", (ci, co, lv, albedo, every))
         inputs = (graph.observations, weight, ci, co, albedo, shown)
         paint, albedo = graph.inline(refit, f"refit_{step}_", inputs)
-    maps = [graph.scatter(values) for values in (normal, paint, roughness)]
+    maps = [graph.scatter(values) for values in (normal, paint, roughness, error)]
     return graph.finish({name: (m, OUTPUTS[name]) for name, m in zip(OUTPUTS, maps, strict=True)})

@@ -33,6 +33,12 @@ REFITS = 3
 """Fixed-point steps of the albedo, because light between facets depends on it. Set by hand."""
 ALBEDOS = (1e-4, 1.0)
 """Albedo with which a model is evaluated: away from 0, by which its value is divided, up to a white facet."""
+SYSTEMATIC = 0.3
+"""Share of a pixel's residual variance that its lights have in common, because the model, not the sensor, errs: it does
+not average out. Set by hand, between made noise (0) and photographs (about 1)."""
+UNDETERMINED = 1e-5
+"""Share of all lights' weight that a direction has at least in the standard error, so that what no light determines
+gets a large one. Set by hand."""
 PRIOR = 0.05
 """Weight of the previous solution, as a share of the weight of all lights. Set by hand."""
 
@@ -136,7 +142,42 @@ class Refit(nn.Module):
         return found.clamp_min(0.0), found[:, :, None, None].clamp(*ALBEDOS)
 
 
-def solve_closed_form(images: Tensor, lights: Tensor, mask: Tensor, model: str) -> tuple[Tensor, Tensor, Tensor]:
+class Expect(nn.Module):
+    """The standard error of the normal, from the residuals and from how well the lights determine it."""
+
+    def forward(
+        self,
+        grey: Tensor,
+        lights: Tensor,
+        vector: Tensor,
+        weight: Tensor,
+        ci: Tensor,
+        co: Tensor,
+        albedo: Tensor,
+        value: Tensor,
+    ) -> Tensor:
+        """Radians, (P, 1): the covariance of weighted least squares across the normal; a right angle at most."""
+        ratio = _ratio(ci, co, albedo, value)
+        missed = grey - ratio * _lambert(vector, lights)
+        free = (weight.sum(1, keepdim=True) - lights.shape[1]).clamp_min(1.0)
+        noise = (weight * missed.square()).sum(1, keepdim=True) / free * (1 + SYSTEMATIC * free)
+        (xx, xy, xz), (_, yy, yz), (_, _, zz) = _normal_matrix(lights, weight * ratio * ratio)
+        least = UNDETERMINED * (xx + yy + zz)
+        rows = ((xx + least, xy, xz), (xy, yy + least, yz), (xz, yz, zz + least))
+        one, zero = torch.ones_like(noise), torch.zeros_like(noise)
+        units = ((one, zero, zero), (zero, one, zero), (zero, zero, one))
+        inverse = torch.stack([torch.cat(solve_symmetric(rows, unit), 1) for unit in units], 1)  # (P, 3, 3)
+        length = vector.norm(dim=1, keepdim=True).clamp_min(1e-9)
+        along = vector / length
+        trace = inverse[:, 0, :1] + inverse[:, 1, 1:2] + inverse[:, 2, 2:]
+        across = trace - (along[:, :, None] * inverse * along[:, None]).sum((1, 2))[:, None]
+        variance: Tensor = noise.clamp_min(NOISE_FLOOR**2) * across.clamp_min(0.0)
+        return variance.sqrt().div(length).clamp_max(math.pi / 2)
+
+
+def solve_closed_form(
+    images: Tensor, lights: Tensor, mask: Tensor, model: str
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """What the graph computes, in torch.
 
     Args:
@@ -146,7 +187,8 @@ def solve_closed_form(images: Tensor, lights: Tensor, mask: Tensor, model: str) 
         model: a name in ``MODELS``.
 
     Returns:
-        Normals (3, H, W), albedo (C, H, W) and roughness (1, H, W), radians; 0 outside the mask.
+        Normals (3, H, W), albedo (C, H, W), roughness (1, H, W), radians, and the standard error of the normal
+        (1, H, W), radians; 0 outside the mask.
     """
     inside, function = mask[0], get_model(model).function
 
@@ -173,12 +215,14 @@ def solve_closed_form(images: Tensor, lights: Tensor, mask: Tensor, model: str) 
         roughness = roughness + Choose()(few, lights, vector, ci, co, albedo, value)
     vector, weight = solve(grey, level, roughness)
     normal, ci, co, lv, albedo = Angles()(vector, level, lights)
-    paint = level
-    for _ in range(REFITS):
-        value = evaluate((ci, co, lv, albedo), roughness)
+    paint, value = level, evaluate((ci, co, lv, albedo), roughness)
+    error = Expect()(grey, lights, vector, weight, ci, co, albedo, value)
+    for step in range(REFITS):
+        if step:
+            value = evaluate((ci, co, lv, albedo), roughness)
         paint, albedo = Refit()(seen, weight, ci, co, albedo, value)
-    normal, paint, roughness = (Grid(inside).draw(values) for values in (normal, paint, roughness))
-    return normal, paint, roughness
+    maps = [Grid(inside).draw(values) for values in (normal, paint, roughness, error)]
+    return maps[0], maps[1], maps[2], maps[3]
 
 
 def _ratio(ci: Tensor, co: Tensor, albedo: Tensor, value: Tensor) -> Tensor:
@@ -197,11 +241,18 @@ def _least_squares(grey: Tensor, lights: Tensor, weight: Tensor, ratio: Tensor, 
     The prior determines pixels that too few lights reach; where the lights suffice its influence dies out from one
     solution to the next.
     """
-    pairs = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
-    products = torch.stack([lights[:, i] * lights[:, j] for i, j in pairs], 1)
     weighted = weight * ratio
-    xx, xy, xz, yy, yz, zz = ((weighted * ratio) @ products).split(1, dim=1)
-    prior = PRIOR * (xx + yy + zz) + 1e-9
+    (xx, xy, xz), (_, yy, yz), (_, _, zz) = _normal_matrix(lights, weighted * ratio)
+    prior = PRIOR * (xx + yy + zz)
     rows = ((xx + prior, xy, xz), (xy, yy + prior, yz), (xz, yz, zz + prior))
     x, y, z = ((weighted * grey) @ lights + prior * previous).split(1, dim=1)
     return torch.cat(solve_symmetric(rows, (x, y, z)), 1)
+
+
+def _normal_matrix(lights: Tensor, weight: Tensor) -> tuple[tuple[Tensor, Tensor, Tensor], ...]:
+    """Rows of the 3 x 3 matrices of the normal equations, (P, 1) each."""
+    pairs = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+    products = torch.stack([lights[:, i] * lights[:, j] for i, j in pairs], 1)
+    xx, xy, xz, yy, yz, zz = (weight @ products).split(1, dim=1)
+    xx, yy, zz = xx + 1e-9, yy + 1e-9, zz + 1e-9
+    return (xx, xy, xz), (xy, yy, yz), (xz, yz, zz)
