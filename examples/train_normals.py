@@ -51,7 +51,7 @@ def loss_of(normal: Tensor, batch: ton.SyntheticBatch, layer: nn.Module, weight:
     mask = batch["mask"].float()
     labelled = ((normal - batch["normal"]).square() * mask)[:LABELLED].sum() / mask[:LABELLED].sum().clamp_min(1)
     shaded = layer(normal, batch["true_lights"], batch["view"], batch["albedo"], batch["roughness"])
-    missed = (batch["exposure"][:, None, None, None, None] * batch["reached"] * shaded - batch["images"]).abs()
+    missed = (batch["exposure"] * batch["reached"] * shaded - batch["images"]).abs()
     photographs: Tensor = (missed * mask[:, None]).mean() / mask.mean()
     return labelled + weight * photographs
 

@@ -35,7 +35,7 @@ def batch() -> SyntheticBatch:
 def rendered(of: SyntheticBatch) -> Tensor:
     """The pictures from the truth, (B, K, 3, H, W)."""
     shaded: Tensor = OrenNayar("vcavity")(of["normal"], of["true_lights"], of["view"], of["albedo"], of["roughness"])
-    direct = of["exposure"][:, None, None, None, None] * of["reached"] * shaded
+    direct = of["exposure"] * of["reached"] * shaded
     return (direct + of["between"] + of["remainder"]).clamp(0, 1) * of["mask"][:, None]
 
 

@@ -44,7 +44,7 @@ def test_a_plain_sample_renders_again(index: int, rough: float) -> None:
 def test_a_sample_with_everything_is_the_sum_of_its_parts(index: int) -> None:
     sample = captures(Ingredients(rough=1.0, **EXACT), seed=5).sample(index)
     direct = sample["exposure"] * sample["reached"] * shading(sample)
-    light = sample["brightness"][:, None, None, None] * (direct + sample["between"] + sample["remainder"])
+    light = sample["brightness"] * (direct + sample["between"] + sample["remainder"])
     assert torch.allclose(sample["images"], light.clamp(0, 1), atol=2e-5)
     assert ((sample["reached"] >= 0) & (sample["reached"] <= 1)).all()
     assert (sample["between"] >= 0).all()

@@ -24,6 +24,7 @@ PACKAGES: dict[str, tuple[str, str]] = {
     "pyamg": ("pyamg", ""),
     "rich": ("rich", "cli"),
     "scipy": ("scipy", ""),
+    "skimage": ("scikit-image", "scenes"),
     "threadpoolctl": ("threadpoolctl", ""),
     "trimesh": ("trimesh", ""),
     "typer": ("typer", "cli"),

@@ -13,7 +13,7 @@ import json
 import os
 import tarfile
 import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, cast
@@ -29,6 +29,7 @@ from ..core.files import atomic_path, read_json
 from ..core.progress import track
 from ..synthetic.captures import SyntheticCaptures
 from ..synthetic.images import SyntheticImages
+from ..synthetic.scenes import Meshes
 
 LISTED = "captures.json"
 """Name of the file that says what a folder of shards is made of."""
@@ -181,10 +182,10 @@ def _claim(place: Path, captures: SyntheticCaptures[SyntheticImages], per_shard:
         temporary.write_text(json.dumps(made, indent=2) + "\n", encoding="utf-8")
 
 
-def _digest(meshes: Sequence[tuple[Tensor, Tensor]] | None) -> str | None:
+def _digest(meshes: Meshes) -> str | None:
     """A number that tells given meshes from others."""
-    if meshes is None:
-        return None
+    if meshes is None or isinstance(meshes, str):
+        return meshes
     digest = hashlib.blake2b(digest_size=16)
     for part in (part for mesh in meshes for part in mesh):
         digest.update(f"{tuple(part.shape)} {part.dtype}".encode() + part.detach().cpu().contiguous().numpy().tobytes())

@@ -30,7 +30,7 @@ from .pixels import (
     record_pixels,
     shade_pixels,
 )
-from .scenes import SCENE_LIGHTS, MeshTensors, RenderedScene, draw_scene
+from .scenes import SCENE_LIGHTS, Meshes, RenderedScene, draw_scene
 
 SCENE_SHARE = 0.8
 """Share of the samples of ``"pixels"`` that are taken from rendered scenes where there are any. Set by the error of
@@ -70,7 +70,9 @@ class SyntheticCaptures(IterableDataset[Sample]):
             takes about half a second when it is first used and .6 MB of memory in every worker and rank;
             `render_scenes` renders all before workers start.
         size: (H, W) of ``"images"``.
-        meshes: (vertices, faces) of ``"images"`` and scenes; default: bumpy balls, rings and heaps of balls.
+        meshes: (vertices, faces) of ``"images"`` and scenes, or ``"figures"``: figures with limbs, heaps of parts,
+            vessels and reliefs, modelled anew for every capture, a tenth of a second each; default: bumpy balls, rings
+            and heaps of balls.
         device: where captures are made.
         rank: of this process; default: of the process group when iteration begins, or 0.
         world: number of processes; default: of the process group when iteration begins, or 1.
@@ -99,7 +101,7 @@ class SyntheticCaptures(IterableDataset[Sample]):
         lights: tuple[int, int] = (12, 100),
         observations: int = 12_288,
         scenes: int = 0,
-        meshes: Sequence[MeshTensors] | None = None,
+        meshes: Meshes = None,
         device: torch.device | str = "cpu",
         rank: int | None = None,
         world: int | None = None,
@@ -116,7 +118,7 @@ class SyntheticCaptures(IterableDataset[Sample]):
         mix: Ingredients | None = None,
         lights: tuple[int, int] = (12, 100),
         size: tuple[int, int] = (64, 64),
-        meshes: Sequence[MeshTensors] | None = None,
+        meshes: Meshes = None,
         device: torch.device | str = "cpu",
         rank: int | None = None,
         world: int | None = None,
@@ -134,7 +136,7 @@ class SyntheticCaptures(IterableDataset[Sample]):
         observations: int = 12_288,
         scenes: int = 0,
         size: tuple[int, int] = (64, 64),
-        meshes: Sequence[MeshTensors] | None = None,
+        meshes: Meshes = None,
         device: torch.device | str = "cpu",
         rank: int | None = None,
         world: int | None = None,
@@ -156,7 +158,7 @@ class SyntheticCaptures(IterableDataset[Sample]):
         self.scenes, self._rendered = scenes, dict[int, RenderedScene]()
         self._rank, self._world = rank, world
         self._check_numbers()
-        if meshes is not None:
+        if meshes is not None and meshes != "figures":
             _check_meshes(meshes)
 
     @property
@@ -287,7 +289,9 @@ def _check_meshes(meshes: object) -> None:
     """Check for a sequence of (vertices, faces)."""
     if not isinstance(meshes, Sequence) or isinstance(meshes, (str, Mesh)) or not meshes:
         got = type(meshes).__name__
-        raise ShapeError("meshes", expected="a list of (vertices, faces)", got=got, mend="put meshes into a list")
+        raise ShapeError(
+            "meshes", expected="a list of (vertices, faces), or 'figures'", got=got, mend="put meshes into a list"
+        )
     for mesh in meshes:
         if not isinstance(mesh, tuple) or len(mesh) != 2:
             mend = "use load_mesh" if isinstance(mesh, (str, os.PathLike)) else "give (vertices, faces)"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import NamedTuple, TypedDict
 
 import torch
@@ -19,7 +18,7 @@ from .draw import Draw
 from .ingredients import Ingredients
 from .materials import Materials, draw_materials
 from .pixels import draw_lights, perturb_lights, round_to_bits
-from .scenes import MeshTensors, draw_mesh
+from .scenes import Meshes, draw_mesh
 
 SHADOW_OVERSAMPLING = 2
 """Side of the shadow maps over that of the picture: their texels are half a pixel. Set by hand."""
@@ -41,11 +40,12 @@ READ_NOISE = 0.3
 class SyntheticImages(TypedDict):
     """A sample of kind ``"images"``: K photographs of one object, and all that they follow from.
 
-    With ``layer = OrenNayar("vcavity")``, ``exposure`` a number and ``brightness`` (K, 1, 1, 1), the pictures are::
+    With ``layer = OrenNayar("vcavity")`` the pictures are::
 
         brightness * (exposure * reached * layer(normal, true_lights, view, albedo, roughness) + between + remainder)
 
-    with noise, cut to [0, 1] and rounded to a number of bits.
+    with noise, cut to [0, 1] and rounded to a number of bits. The line holds as it is for a `SyntheticBatch`; of a
+    single sample the layer takes ``normal[None]``, ``true_lights[None]`` and so on.
 
     Attributes:
         images: (K, 3, H, W) linear light in [0, 1], 0 outside the mask.
@@ -56,13 +56,13 @@ class SyntheticImages(TypedDict):
         depth: (1, H, W) distance along the viewing axis, 0 outside the mask. The object is 2 units wide.
         albedo: (3, H, W) of the diffuse part, 0 outside the mask.
         roughness: (1, H, W) radians, 0 outside the mask.
-        exposure: () factor from shading to picture.
+        exposure: (1, 1, 1, 1) factor from shading to picture.
         reached: (K, 1, H, W) share of each light that other parts do not block.
         between: (K, 3, H, W) what light that other parts reflect adds to the pictures.
         remainder: (K, 3, H, W) what glaze, retro-reflection, falloff, highlights, sheen and ambient light add to them,
             or take away where negative.
         true_lights: (K, 3) the lights that the pictures were made with.
-        brightness: (K,) of the lights, where the capture states 1 for all.
+        brightness: (K, 1, 1, 1) of the lights, where the capture states 1 for all.
 
     Example:
         >>> import torch_orennayar as ton
@@ -87,9 +87,7 @@ class SyntheticImages(TypedDict):
     brightness: Tensor
 
 
-def draw_images(
-    draw: Draw, count: int, mix: Ingredients, size: tuple[int, int], meshes: Sequence[MeshTensors] | None
-) -> SyntheticImages:
+def draw_images(draw: Draw, count: int, mix: Ingredients, size: tuple[int, int], meshes: Meshes) -> SyntheticImages:
     """A mesh seen by a random camera under ``count`` lights, with cast shadows and interreflection."""
     vertices, faces = draw_mesh(draw, meshes)
     camera = _draw_camera(draw)
@@ -131,12 +129,12 @@ def draw_images(
         "depth": torch.where(mask, seen.depth[0], 0.0),
         "albedo": albedo,
         "roughness": roughness,
-        "exposure": exposure,
+        "exposure": exposure.reshape(1, 1, 1, 1),
         "reached": reached,
         "between": spread(between),
         "remainder": spread(remainder),
         "true_lights": lights,
-        "brightness": brightness,
+        "brightness": brightness[:, None, None, None],
     }
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import torch
 from torch import Tensor
@@ -17,9 +17,12 @@ from ..render.normal_map import render_normals
 from ..render.radiosity import SeenSurface, light_between
 from ..render.shadow import cast_shadows
 from .draw import Draw
+from .figures import draw_figure
 from .pixels import draw_lights
 
 MeshTensors = tuple[Tensor, Tensor]
+Meshes = Sequence[MeshTensors] | Literal["figures"] | None
+"""Meshes to draw from; ``"figures"`` are those of `draw_figure`, None bumpy balls, rings and heaps of balls."""
 
 SIDE = 80
 """Pixels; side of the picture that a scene is rendered as. Set by hand, for half a second a scene."""
@@ -50,7 +53,7 @@ class RenderedScene(NamedTuple):
     reflected: Tensor
 
 
-def draw_scene(draw: Draw, count: int, meshes: Sequence[MeshTensors] | None) -> RenderedScene:
+def draw_scene(draw: Draw, count: int, meshes: Meshes) -> RenderedScene:
     """A mesh of one albedo that casts shadows on itself and reflects light onto itself, under ``count`` lights.
 
     Raises:
@@ -75,9 +78,11 @@ def _render_scene(draw: Draw, count: int, vertices: Tensor, faces: Tensor) -> Re
     return RenderedScene(lights, *(part[kept].contiguous() for part in (surface.normal, reached, reflected)))
 
 
-def draw_mesh(draw: Draw, meshes: Sequence[MeshTensors] | None = None) -> MeshTensors:
+def draw_mesh(draw: Draw, meshes: Meshes = None) -> MeshTensors:
     """One of the given meshes, or a random one, in the unit sphere and turned at random."""
-    if meshes:
+    if meshes == "figures":
+        vertices, faces = draw_figure(draw)
+    elif meshes:
         choice = min(int(draw.uniform(1).item() * len(meshes)), len(meshes) - 1)
         vertices, faces = (part.to(draw.device) for part in meshes[choice])
         vertices = vertices.float()
