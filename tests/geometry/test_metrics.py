@@ -70,3 +70,12 @@ def test_bad_shapes() -> None:
         angular_error(torch.zeros(4, 3), torch.zeros(4, 3))
     with pytest.raises(ShapeError, match="mask"):
         angular_error(torch.zeros(3, 4, 4), torch.zeros(3, 4, 4), torch.ones(1, 5, 5, dtype=torch.bool))
+
+
+def test_a_mask_without_an_axis_for_the_vectors_does_not_spread_over_the_batch() -> None:
+    normal = torch.tensor([0.0, 0, 1]).reshape(1, 3, 1, 1).repeat(2, 1, 8, 8)
+    mask = torch.ones(2, 8, 8, dtype=torch.bool)
+    with pytest.raises(ShapeError, match="unsqueeze"):
+        angular_error(normal, normal, mask)
+    assert angular_error(normal, normal, mask.unsqueeze(-3)).summary()["pixels"] == 128
+    assert angular_error(normal, normal, mask[0]).summary()["pixels"] == 128

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -192,3 +193,19 @@ def test_backgrounds_of_normal_maps(tmp_path: Path, grey: int, bits: int) -> Non
     assert (found[:, :, ~there] == 0).all()
     assert torch.allclose(found[:, :, there], normal[:, :, there], atol=0.01)
     assert torch.allclose(decode_normals((0.8 * normal + 1) / 2), normal, atol=1e-5)
+
+
+@pytest.mark.parametrize("decode", [srgb_to_linear, decode_normals])
+def test_what_is_no_picture_in_0_to_1_is_refused(decode: Callable[[torch.Tensor], torch.Tensor]) -> None:
+    """Of 8-bit values and of colours in another layout the answer would be wrong without a word."""
+    image = torch.rand(3, 5, 7, generator=torch.Generator().manual_seed(0))
+    for wrong, error, words in (
+        ((255 * image).byte(), ShapeError, "255"),
+        (255 * image, RangeError, "255"),
+        (2 * image - 1, RangeError, "image"),
+        (image.movedim(0, -1), ShapeError, "movedim"),
+        (torch.cat((image, image[:1])), ShapeError, "alpha"),
+    ):
+        with pytest.raises(error, match=words):
+            decode(wrong)
+    assert decode(1.1 * image).shape == image.shape  # what resizing with a sharp kernel leaves

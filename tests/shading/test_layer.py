@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 import torch
 import torch.nn.functional as F
@@ -538,6 +539,10 @@ def test_point_light_gradients() -> None:
         ({"albedo": torch.ones(1, 1, 1, 1, dtype=torch.complex64)}, ShapeError, "albedo"),
         ({"albedo": torch.zeros(1, 0, 1, 1)}, ShapeError, "channel"),
         ({"model": ["vcavity"]}, ModelError, "vcavity"),
+        ({"normal": np.zeros((1, 3, 2, 2))}, ShapeError, "as_tensor"),
+        ({"normal": torch.zeros(1, 3, 2, 2, dtype=torch.uint8)}, ShapeError, "255.*decode_normals"),
+        ({"normal": torch.full((1, 3, 2, 2), 0.5)}, RangeError, "decode_normals"),
+        ({"albedo": torch.zeros(1, 3, 2, 2, dtype=torch.uint8)}, ShapeError, "255.*srgb_to_linear"),
         ({"light": torch.zeros(1, 3, 1, 1)}, RangeError, "light"),
         ({"view": torch.full((1, 3, 1, 1), torch.nan)}, RangeError, "view"),
     ],
@@ -624,3 +629,20 @@ def test_layer_refuses_layouts_it_does_not_know() -> None:
         OrenNayar()(normal, UP[None], albedo=torch.rand(2, 4, 5))
     with pytest.raises(ModelError, match="vcavity"):
         OrenNayar("lambertian")
+
+
+def test_the_mends_of_wrong_layouts_mend_them() -> None:
+    """What a beginner tries first: no batch axis, several lights as (K, 3), lists, arguments in another order."""
+    normal, lights = UP.reshape(3, 1, 1).expand(3, 4, 5), unit(6, 3).float()
+    layer = OrenNayar("vcavity")
+    with pytest.raises(ShapeError, match=r"normal\[None\]"):
+        layer(normal, UP)
+    assert layer(normal[None], UP).shape == (1, 1, 4, 5)
+    with pytest.raises(ShapeError, match=r"light\[None\]"):
+        layer(normal[None], lights)
+    assert layer(normal[None], lights[None]).shape == (1, 6, 1, 4, 5)
+    for wrong in ([0.0, 0.0, 1.0], np.zeros(3)):
+        with pytest.raises(ShapeError, match=r"light.*as_tensor"):
+            layer(normal[None], wrong)  # type: ignore[arg-type]
+    with pytest.raises(ShapeError, match="view"):
+        layer(normal[None], UP, 0.5, 0.3)  # type: ignore[arg-type]

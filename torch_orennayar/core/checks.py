@@ -164,8 +164,15 @@ def check_unit(argument: str, vectors: Tensor, dim: int, *, gaps: bool = True) -
             argument,
             expected="unit vectors",
             got=f"length {length[wrong][0].item():.3g}",
-            mend="use torch.nn.functional.normalize or OrenNayar(normalise=True); point_light for a light's position",
+            mend=_mend_length(vectors),
         )
+
+
+def _mend_length(vectors: Tensor) -> str:
+    """What brings vectors of another length right: colours, which are never negative, must be decoded first."""
+    coloured = vectors.numel() > 3 and bool(((vectors >= 0) & (vectors <= 1)).all())
+    colours = "decode_normals for normals stored as colours; " if coloured else ""
+    return f"use {colours}torch.nn.functional.normalize; point_light for a light's position"
 
 
 def _sample(vectors: Tensor, axis: int) -> Tensor:
@@ -180,15 +187,15 @@ def _sample(vectors: Tensor, axis: int) -> Tensor:
 
 
 def check_numbers(**values: object) -> None:
-    """Check that all values are real tensors or real numbers."""
+    """Check that all values are real numbers or tensors of them, and no pictures of 8 bits."""
     for argument, value in values.items():
-        if isinstance(value, Real) or (isinstance(value, Tensor) and not value.is_complex()):
+        if isinstance(value, Real) or (isinstance(value, Tensor) and not value.is_complex() and not _stored(value)):
             continue
         raise ShapeError(
             argument,
             expected="a number or a tensor of real numbers",
             got=str(value.dtype) if isinstance(value, Tensor) else type(value).__name__,
-            mend="use torch.as_tensor(..., dtype=torch.float32)",
+            mend=_mend_type(value),
         )
 
 
@@ -200,5 +207,39 @@ def check_floating(**values: object) -> None:
                 argument,
                 expected="a floating-point tensor",
                 got=str(value.dtype) if isinstance(value, Tensor) else type(value).__name__,
-                mend="use torch.as_tensor(..., dtype=torch.float32)",
+                mend=_mend_type(value),
             )
+
+
+def check_encoded(argument: str, image: object, channels: tuple[int, ...]) -> None:
+    """Check that a picture (..., C, H, W) holds floating-point values in [0, 1], as files do divided by their white.
+
+    Raises:
+        ShapeError: another type, or other channels.
+        RangeError: values outside [0, 1].
+    """
+    check_floating(**{argument: image})
+    picture: Tensor = image  # type: ignore[assignment]
+    if picture.ndim < 3 or picture.shape[-3] not in channels:
+        wanted = " or ".join(str(c) for c in channels)
+        mend = "move the channels before rows and columns: image.movedim(-1, -3); leave an alpha channel out"
+        raise ShapeError(argument, expected=f"(..., {wanted}, H, W)", got=str(tuple(picture.shape)), mend=mend)
+    if checking() and picture.numel() and not bool(((picture > -OVERSHOOT) & (picture < 1 + OVERSHOOT)).all()):
+        check_range(argument, picture, 0.0, 1.0, "divide 8-bit values by 255, 16-bit ones by 65535")
+
+
+OVERSHOOT = 0.25
+"""By how much values may leave [0, 1], as after resizing with a sharp kernel. Set by hand."""
+STORED = (torch.uint8, torch.int16, torch.uint16)
+"""Types in which files hold pictures."""
+
+
+def _stored(value: object) -> bool:
+    return isinstance(value, Tensor) and value.ndim > 0 and value.dtype in STORED
+
+
+def _mend_type(value: object) -> str:
+    """What makes a floating-point tensor of ``value``."""
+    if _stored(value):
+        return "divide by 255 (16 bits: 65535), then srgb_to_linear for photographs, decode_normals for normal maps"
+    return "use torch.as_tensor(..., dtype=torch.float32)"

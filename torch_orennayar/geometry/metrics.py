@@ -72,6 +72,9 @@ def angular_error(a: Tensor, b: Tensor, mask: Tensor | None = None, *, dim: int 
     for name, value in (("a", a), ("b", b)):
         if not -value.ndim <= dim < value.ndim or value.shape[dim] != 3:
             raise ShapeError(name, expected=f"3 along axis {dim}", got=str(tuple(value.shape)), mend="pass dim=")
+    if mask is not None and dim < 0 and mask.ndim >= -dim and mask.shape[dim] != 1:
+        got = f"{tuple(mask.shape)} for {tuple(a.shape)}"
+        raise ShapeError("mask", expected=f"1 along axis {dim}", got=got, mend=f"use mask.unsqueeze({dim})")
     try:
         dtype = torch.promote_types(torch.promote_types(a.dtype, b.dtype), torch.float32)
         first, second = torch.broadcast_tensors(a.to(dtype), b.to(dtype))

@@ -11,6 +11,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from ..core.checks import check_encoded
 from ..core.errors import FileError, RangeError, ShapeError
 from ..core.files import atomic_path
 from ..core.optional import require
@@ -194,7 +195,8 @@ def decode_normals(image: Tensor, *, green: str = "up") -> Tensor:
         (..., 3, H, W), unit; zero in the background: where the vector is shorter than 0.5 or longer than 1.3.
 
     Raises:
-        RangeError: another ``green``.
+        ShapeError: integers, or an axis of channels elsewhere.
+        RangeError: values outside [0, 1], or another ``green``.
 
     Example:
         >>> import torch, torch_orennayar as ton
@@ -202,6 +204,7 @@ def decode_normals(image: Tensor, *, green: str = "up") -> Tensor:
         >>> bool(torch.allclose(ton.decode_normals(ton.encode_normals(n, green="down"), green="down"), n, atol=1e-6))
         True
     """
+    check_encoded("image", image, (3,))
     normal = (2 * image - 1) * _green_sign(image, green)
     length = normal.detach().norm(dim=-3, keepdim=True)
     background = (length < UNIT_LENGTHS[0]) | (length > UNIT_LENGTHS[1])

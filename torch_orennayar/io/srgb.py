@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from torch import Tensor
 
+from ..core.checks import check_encoded
 from ..core.errors import RangeError
 from ..core.optional import require
 
@@ -18,6 +19,8 @@ def srgb_to_linear(image: Tensor) -> Tensor:
         Linear light of the same shape.
 
     Raises:
+        ShapeError: integers, or an axis of channels elsewhere.
+        RangeError: values outside [0, 1].
         MissingPackageError: kornia is not installed.
 
     Example:
@@ -25,6 +28,7 @@ def srgb_to_linear(image: Tensor) -> Tensor:
         >>> round(ton.srgb_to_linear(torch.full((1, 1, 1), 0.5)).item(), 3)
         0.214
     """
+    check_encoded("image", image, (1, 3))
     require("kornia")
     from kornia.color import rgb_to_linear_rgb
 

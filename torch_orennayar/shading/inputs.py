@@ -111,7 +111,7 @@ def check_parameters(albedo: Tensor | float, roughness: Tensor | float, like: Te
         roughness,
         0.0,
         MAX_ROUGHNESS,
-        "it is in radians (use math.radians for degrees); a learned one may be clamped or go through sigmoid",
+        "it is in radians (use math.radians for degrees); learn it as math.pi / 2 * x.sigmoid()",
     )
     rho = albedo if isinstance(albedo, Tensor) else like.new_tensor(albedo)
     sigma = roughness if isinstance(roughness, Tensor) else like.new_tensor(roughness)

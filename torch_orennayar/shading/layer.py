@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from torch import Tensor, nn
 
-from ..core.checks import check_unit
+from ..core.checks import check_floating, check_unit
 from ..core.errors import ShapeError
 from ..reflectance.model_choice import ModelChoice, simplest_model
 from ..reflectance.models import get_model
@@ -84,6 +84,7 @@ class OrenNayar(nn.Module):
         Raises:
             ShapeError, RangeError: as `oren_nayar`.
         """
+        check_floating(normal=normal, light=light, **({} if view is None else {"view": view}))
         layout = self._layout(normal, light)
         if view is None:
             view = normal.new_tensor((0.0, 0.0, 1.0))
@@ -109,7 +110,7 @@ class OrenNayar(nn.Module):
                 "normal",
                 expected=f"3 along axis {self.dim}",
                 got=f"shape {tuple(normal.shape)}",
-                mend="construct OrenNayar(dim=...) with the axis that holds x, y, z",
+                mend="add a batch axis (normal[None]), or say OrenNayar(dim=...) if x, y, z lie along another axis",
             )
         several = light.ndim == normal.ndim + 1 or (light.ndim == 3 and normal.ndim >= 4)
         if several and axis == 0:
@@ -178,10 +179,14 @@ def _arrange(name: str, value: Tensor, layout: _Layout, channels: tuple[int, ...
         if value.ndim == 3 and lights is not None and shape[0] in (1, batch) and shape[1] in (1, lights):
             return value.reshape(shape[0], shape[1], *between, shape[2], *after)
     size = " or ".join(str(c) for c in channels)
+    several = name == "light" and ndim > 3 and value.ndim == 2
+    more = f", ({batch}, K, {size})" if several else ""
+    more = more if lights is None else f", ({batch}, {lights}, {size}) or a map per light"
     raise ShapeError(
         name,
-        expected=f"({size},), ({batch}, {size}), a map of {ndim} axes"
-        + ("" if lights is None else f", ({batch}, {lights}, {size}) or a map per light"),
+        expected=f"({size},), ({batch}, {size}), a map of {ndim} axes{more}",
         got=f"shape {shape}",
-        mend="give it the layout of the normals, or one value per image",
+        mend="use light[None] for several lights of every image"
+        if several
+        else "give it the layout of the normals, or one value per image",
     )
