@@ -15,6 +15,16 @@ from torch_orennayar.geometry.smooth_integration import integrate_smooth
 def test_graph_equals_torch_and_repeats_to_the_bit(tmp_path: Path) -> None:
     path = export_onnx("integration", tmp_path / "integration.onnx")
     vertices, faces = bumpy_ball()
+    seen = render_normals(vertices, faces, Camera.orthographic(1.05), (60, 60))
+    broken = torch.where(seen.mask[0], seen.normal[0], torch.nan)  # outside the mask
+    broken[:, 30, 30] = torch.nan  # and inside
+    found = run_graph(path, normal=broken, mask=seen.mask[0])["depth"]
+    wanted = integrate_smooth(seen.normal[0].double(), seen.mask[0])
+    beside = seen.mask[0].clone()
+    beside[:, 30, 30] = False
+    assert found.isfinite().all()
+    offset = (found - wanted)[beside].mean()
+    assert (found - wanted - offset)[beside].abs().max() < 0.3  # pixels
     for size in ((90, 121), (257, 64), (3, 200)):
         seen = render_normals(vertices, faces, Camera.orthographic(1.05), size)
         normal, mask = seen.normal[0], seen.mask[0]

@@ -93,6 +93,30 @@ def test_fewer_lights_than_the_graph_is_for_are_refused(graph: Path, tmp_path: P
         run_graph(path, images=images[1:], lights=lights[1:], mask=mask)
 
 
+@pytest.mark.parametrize("model", ["vcavity", "network"])
+@pytest.mark.slow
+def test_what_an_app_feeds_without_knowing(graph: Path, tmp_path: Path, model: str) -> None:
+    """Lights of another length, a broken sample, numbers of pictures and lights that differ, an empty mask."""
+    path = graph if model == "vcavity" else export_onnx("stereo", tmp_path / "network.onnx", model=model)
+    images, lights, mask, _ = photographs(30)
+    good = run_graph(path, images=images, lights=lights, mask=mask)
+    scaled = run_graph(path, images=images, lights=3 * lights, mask=mask)
+    assert (scaled["normal"] - good["normal"]).abs().max() < 1e-4
+    broken = images.clone()
+    broken[4, :, 30:33, 30:33] = math.nan
+    mended = run_graph(path, images=broken, lights=lights, mask=mask)
+    assert all(value.isfinite().all() for value in mended.values())
+    assert angular_error(mended["normal"], good["normal"], mask).summary()["mean"] < 0.3
+    refused: tuple[tuple[dict[str, torch.Tensor], str], ...] = (
+        ({"images": images[1:]}, "refuse_more_lights_than_images"),
+        ({"lights": lights[1:]}, "refuse_more_images_than_lights"),
+        ({"mask": mask & False}, "refuse_an_empty_mask"),
+    )
+    for wrong, name in refused:
+        with pytest.raises(Exception, match=name):
+            run_graph(path, 1, **({"images": images, "lights": lights, "mask": mask} | wrong))
+
+
 @pytest.mark.parametrize("count", [3, 8, 40])
 @pytest.mark.slow
 def test_graph_equals_torch_and_repeats_to_the_bit(graph: Path, count: int) -> None:

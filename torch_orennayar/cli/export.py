@@ -9,10 +9,11 @@ import typer
 
 from ..core.files import check_output
 from ..core.progress import say
-from .options import Azimuth, Elevation, FieldOfView, ModelName, make_camera
+from .options import Azimuth, Elevation, FieldOfView, make_camera
 
 Graph = Literal["shading", "renderer", "shaded_mesh", "stereo", "integration"]
-ExportModel = Literal[ModelName, "network"]
+ExportModel = Literal["lambert", "qualitative", "qualitative-0.57", "fujii", "full", "vcavity", "eon", "network"]
+"""`MODELS` that a graph can hold: not `theory`, which is a quadrature; and the network of photometric stereo."""
 
 
 def export(
@@ -34,7 +35,11 @@ def export(
     half: Annotated[bool, typer.Option("--half", help="Inputs and outputs in float16.")] = False,
     size: Annotated[
         int | None,
-        typer.Option(help="Height and width in pixels; 512 for renderers, any for shading.", min=1, max=4096),
+        typer.Option(
+            help="Height and width in pixels of a renderer, default 512, or of portable shading, default any.",
+            min=1,
+            max=4096,
+        ),
     ] = None,
     azimuth: Azimuth = 0.0,
     elevation: Elevation = 0.0,
@@ -46,8 +51,9 @@ def export(
     from ..export.api import export_onnx
 
     check_output(path.parent)
-    side = size or (512 if graph in ("renderer", "shaded_mesh") else None)
-    say("exporting and verifying" + (", about half a minute" if graph in ("renderer", "shaded_mesh") else ""))
+    drawn = graph in ("renderer", "shaded_mesh")
+    side = size or (512 if drawn else None)
+    say("exporting and verifying" + (", about half a minute" if drawn else ""))
     export_onnx(
         graph,
         path,
@@ -56,7 +62,7 @@ def export(
         checked=checked,
         portable=portable,
         view_inputs=view_inputs,
-        camera=make_camera(azimuth, elevation, fov),
+        camera=make_camera(azimuth, elevation, fov) if drawn or azimuth or elevation or fov else None,
         size=(side, side) if side else None,
         dtype=torch.float16 if half else torch.float32,
     )

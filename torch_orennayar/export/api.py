@@ -67,10 +67,10 @@ def export_onnx(
     ``"stereo"`` takes ``images`` (K, C, H, W) of linear light, ``lights`` (K, 3), unit, and ``mask`` (1, H, W) bool and
     returns ``normal`` (3, H, W), ``albedo`` (C, H, W) and ``roughness`` (1, H, W), 0 outside the mask; all axes are
     dynamic. It solves robust least squares in closed form with one roughness for the object, less accurate than
-    `photometric_stereo`. K >= 3 and a mask that contains a pixel; fewer lights end in an error of the runtime. With
-    ``model="network"`` the normals are predicted by the network that ships with the package, trained on K >= 12, fewer
-    are refused, and ``error`` (1, H, W), the expected error of the normal in radians, is returned too;
-    interreflections, which `photometric_stereo` removes first, are not removed.
+    `photometric_stereo`. K >= 3 and a mask that contains a pixel; fewer lights, or another number of lights than of
+    images, end in an error of the runtime that names what is refused. ``error`` (1, H, W) is the expected error of the
+    normal in radians. With ``model="network"`` the normals are predicted by the network that ships with the package,
+    trained on K >= 12, fewer are refused; interreflections, which `photometric_stereo` removes first, are not removed.
 
     ``"integration"`` takes ``normal`` (3, H, W) and ``mask`` (1, H, W) bool and returns ``depth`` (1, H, W), height
     toward the viewer in pixels with mean 0; H and W are dynamic. It bridges the steps of depth that `integrate_normals`
@@ -117,15 +117,24 @@ def export_onnx(
     require("onnx", "onnxscript", "onnxruntime")
     if dtype not in (torch.float32, torch.float16):
         raise ExportError("dtype", expected="float32 or float16", got=str(dtype), mend="choose one")
+    kind = what if isinstance(what, str) else "a module"
+    renderers = ("renderer", "shaded_mesh")
     for name, given, kinds in (
         ("checked", checked, ("shading",)),
         ("portable", portable, ("shading",)),
-        ("view_inputs", view_inputs, ("renderer", "shaded_mesh")),
+        ("per_pixel_directions", per_pixel_directions, ("shading",)),
+        ("view_inputs", view_inputs, renderers),
+        ("camera", camera is not None, renderers),
+        ("size", size is not None, (*renderers, "portable shading")),
+        ("example_inputs", example_inputs is not None, ("a module",)),
+        (f"model={NETWORK!r}", model == NETWORK, ("stereo",)),
     ):
-        if given and what not in kinds:
-            raise ExportError(name, expected=f"with {' or '.join(kinds)}", got=str(what), mend="leave it out")
+        if given and kind not in kinds and not (kind == "shading" and portable and "portable shading" in kinds):
+            raise ExportError(name, expected=f"with {' or '.join(kinds)}", got=kind, mend="leave it out")
     if checked and portable:
         raise ExportError("checked", expected="not with portable", got="both", mend="leave one out")
+    if Path(path).suffix.lower() != ".onnx":
+        raise ExportError("path", expected="a name that ends in .onnx", got=str(path), mend="add the suffix")
     if isinstance(what, nn.Module):
         task = module_task(what, example_inputs, input_names, output_names)
     elif what == "shading" and portable:
@@ -144,7 +153,14 @@ def export_onnx(
     if dtype == torch.float16:
         to_half(task.graph)
     name = what if isinstance(what, str) else type(what).__name__
-    write_metadata(task.graph, {"graph": name, "precision": str(dtype).removeprefix("torch."), **task.metadata})
+    write_metadata(
+        task.graph,
+        {
+            "graph": f"portable {name}" if portable else name,
+            "precision": str(dtype).removeprefix("torch."),
+            **task.metadata,
+        },
+    )
     target = Path(path)
     with atomic_path(target) as temporary:
         import onnx

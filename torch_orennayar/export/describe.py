@@ -52,6 +52,8 @@ def describe_onnx(path: str | os.PathLike[str]) -> GraphDescription:
     import onnx
 
     file = Path(path)
+    if not file.is_file():
+        raise ExportError(str(file), expected="an ONNX file", got="no such file", mend="check the path")
     try:
         model = onnx.load(file)
         onnx.checker.check_model(model)

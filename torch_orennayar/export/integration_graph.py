@@ -42,12 +42,12 @@ INTEGRATION_ERROR = TraceError(
 def integration_task() -> ExportTask:
     """`integrate_smooth`."""
     metadata = {
-        "normal": "camera frame, unit",
-        "mask": "true where there is a surface; at least one pixel",
+        "normal": "camera frame, unit; where not finite, nothing joins the pixel to its neighbours",
+        "mask": "true where there is a surface; of none heights are 0",
         "depth": "height toward the viewer in pixels, mean 0 over the mask, 0 outside",
         "method": f"least squares on slopes, {STEPS} steps of conjugate gradients with multigrid of {LEVELS} grids",
-        "limits": "orthographic view; steps of depth inside the mask are bridged; "
-        "regions that do not touch keep any offset",
+        "limits": "orthographic view; normals that face away or are 0 count as flat; "
+        "steps of depth inside the mask are bridged; regions that do not touch keep any offset",
     }
 
     def solve(normal: Tensor, mask: Tensor) -> tuple[Tensor, ...]:

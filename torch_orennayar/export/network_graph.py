@@ -22,8 +22,8 @@ def network_task() -> ExportTask:
     """`solve_network` with the weights that ship."""
     metadata = CAPTURE_METADATA | {
         "model": NETWORK,
-        "lights": f"unit, away from the surface, toward the source; {TRAINED_LIGHTS} or more, fewer end in an error",
-        "limits": "no near or unknown lights, no light between parts of the surface",
+        "lights": CAPTURE_METADATA["lights"] + f"; {TRAINED_LIGHTS} or more, fewer end in an error",
+        "limits": "no near or unknown lights, no light between parts of the surface; lights in one plane go unnoticed",
         "normal": "camera frame, unit, 0 outside the mask",
         "roughness": "always 0: the network does not estimate it",
         "error": "error of the normal that the network expects, radians",
@@ -52,7 +52,7 @@ def network_graph() -> onnx.ModelProto:
     (smoothed,) = graph.inline(smooth, "smooth_", (graph.scatter(normal), error_map))
     normal_map = add("Where", "mask", smoothed, "float_zero")
     paint = graph.trace(Paint(), ("seen", "lights", "vector"), 2)
-    albedo, _ = graph.inline(paint, "paint_", (graph.observations, "lights", graph.gather(normal_map)))
+    albedo, _ = graph.inline(paint, "paint_", (graph.observations, graph.lights, graph.gather(normal_map)))
     return graph.finish({
         "normal": (normal_map, 3),
         "albedo": (graph.scatter(albedo), "channels"),
@@ -77,7 +77,7 @@ def _predict_in_chunks(graph: PixelGraph, grey: str) -> tuple[str, str]:
     chunks = add("Reshape", filled, add("Concat", number, rows, count, axis=0))
     inner = Nodes("read_")
     network = graph.trace(load_network(), ("grey", "lights"), 2)
-    predicted = graph.inline(network, "network_", ("one_chunk", "lights"), inner)
+    predicted = graph.inline(network, "network_", ("one_chunk", graph.lights), inner)
 
     def floats(name: str) -> onnx.ValueInfoProto:
         return helper.make_tensor_value_info(name, TensorProto.FLOAT, None)

@@ -167,9 +167,12 @@ def trace(
         assert program is not None
         model: onnx.ModelProto = program.model_proto
     except Exception as failure:  # the exporter raises many kinds
-        first_line = TERMINAL_COLOURS.sub("", str(failure)).partition("\n")[0]
+        cause: BaseException = failure
+        while cause.__cause__ is not None:  # the exporter wraps what failed in a page of advice
+            cause = cause.__cause__
+        first_line = TERMINAL_COLOURS.sub("", str(cause)).partition("\n")[0]
         raise ExportError(
-            error.argument, expected=error.expected, got=f"{type(failure).__name__}: {first_line}", mend=error.mend
+            error.argument, expected=error.expected, got=f"{type(cause).__name__}: {first_line}", mend=error.mend
         ) from failure
     for node in model.graph.node:  # paths and code of the exporting machine
         del node.metadata_props[:]

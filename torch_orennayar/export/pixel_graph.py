@@ -12,6 +12,7 @@ from torch import Tensor, nn
 
 from ..geometry.primitives import Ball, spiral_lights
 from ..shading.functional import oren_nayar
+from ..stereo.closed_form import Clean
 from .nodes import REFLECTANCE_ERROR, Nodes, as_model, inline, trace
 
 if TYPE_CHECKING:
@@ -20,9 +21,10 @@ if TYPE_CHECKING:
 INPUTS = ("images", "lights", "mask")
 """Names of the inputs of both graphs of photometric stereo."""
 CAPTURE_METADATA = {
-    "images": "linear light, each divided by the intensity of its light",
-    "lights": "unit, away from the surface, toward the source",
-    "mask": "true where there is an object; at least one pixel",
+    "images": "linear light, each divided by the intensity of its light; in the unit of the albedo, so not 0 to 255; "
+    "samples that are not finite count as dark, clipped ones are taken at their word",
+    "lights": "away from the surface, toward the source; scaled to unit length",
+    "mask": "true where there is an object; without a pixel the runtime ends in an error",
     "albedo": "in the unit of the images; 1 is a white surface under a light of irradiance pi",
 }
 """Meaning and units of what both graphs of photometric stereo take and return."""
@@ -34,6 +36,7 @@ class PixelGraph:
     Attributes:
         add: appends nodes.
         observations: name of the images' values inside the mask, (P, C, K).
+        lights: name of the unit directions to the lights, (K, 3).
     """
 
     def __init__(self, constants: Mapping[str, object], fewest_lights: int) -> None:
@@ -48,27 +51,40 @@ class PixelGraph:
             "float_zero": [0.0],
             "step": 1,
             "last_needed": fewest_lights - 1,
+            "one_number": 1,
             **constants,
         }
         self._traced_constants: list[onnx.TensorProto] = []
-        self._inside = add("Reshape", "mask", add("Add", "all", self._refuse_fewer_lights(fewest_lights)))
+        lights, images = (add("Squeeze", add("Shape", name, end=1), "zero") for name in ("lights", "images"))
+        pixels = add("Squeeze", add("Shape", add("NonZero", add("Reshape", "mask", "all")), start=1), "zero")
+        refused = [
+            self._refuse(f"refuse_fewer_than_{fewest_lights}_lights", lights, "last_needed"),
+            self._refuse("refuse_more_images_than_lights", lights, add("Sub", images, "one_number")),
+            self._refuse("refuse_more_lights_than_images", images, add("Sub", lights, "one_number")),
+            self._refuse("refuse_an_empty_mask", pixels, "axis"),
+        ]
+        shape = "all"
+        for nothing in refused:
+            shape = add("Add", shape, nothing)
+        self._inside = add("Reshape", "mask", shape)
         self._positions = add("Squeeze", add("NonZero", self._inside), "zero")
         inside = add("Gather", add("Reshape", "images", "keep_two"), self._positions, axis=2)
-        self.observations = add("Transpose", inside, perm=[2, 1, 0])
+        seen = add("Transpose", inside, perm=[2, 1, 0])
+        self.observations, self.lights = self.inline(
+            self.trace(Clean(), ("seen", "lights"), 2), "clean_", (seen, "lights")
+        )
         self._pixel_of_position = ""
 
-    def _refuse_fewer_lights(self, fewest: int) -> str:
-        """A number that is 0, and that a runtime cannot compute where there are fewer lights.
+    def _refuse(self, name: str, count: str, index: str) -> str:
+        """A number that is 0, and that a runtime cannot compute where ``index`` is not below ``count``.
 
         ONNX has no assertion; the runtime's error names the node.
         """
         from onnx import helper
 
-        add, taken = self.add, f"refuse_fewer_than_{fewest}_lights"
-        count = add("Squeeze", add("Shape", "lights", end=1), "zero")
-        numbers = add("Range", "axis", count, "step")
-        add.nodes.append(helper.make_node("Gather", [numbers, "last_needed"], [taken], name=taken))
-        return add("Sub", taken, "last_needed")
+        numbers = self.add("Range", "axis", count, "step")
+        self.add.nodes.append(helper.make_node("Gather", [numbers, index], [name], name=name))
+        return self.add("Sub", name, index)
 
     def trace(self, module: nn.Module, names: Sequence[str], outputs: int, rows: int | None = None) -> onnx.ModelProto:
         """The graph of a module that takes the inputs called ``names``.

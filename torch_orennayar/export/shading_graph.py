@@ -47,7 +47,8 @@ def shading_task(model: str, *, per_pixel: bool, checked: bool) -> ExportTask:
     trials += [constant_parameters(trials[0]), constant_parameters(trials[-1]), out_of_range(trials[0])]
     metadata = shading_metadata(model) | {"axes": "every axis of size 1 broadcasts"}
     if checked:
-        metadata["valid"] = "true where directions are unit and albedo and roughness are in their ranges"
+        metadata["valid"] = "true where directions are unit, albedo is not negative and roughness is in its range; "
+        metadata["valid"] += "false where there is no surface"
 
     def shade(*inputs: Tensor) -> tuple[Tensor, ...]:
         return (shade_anything(*inputs, model=model), *([in_range(*inputs)] if checked else []))
@@ -78,8 +79,9 @@ def shading_metadata(model: str) -> dict[str, str]:
         "normal": "camera frame, unit; scaled to unit length here, 0 where there is no surface",
         "light": "unit, from the surface to the light; scaled to unit length here",
         "view": "unit, from the surface to the camera; scaled to unit length here",
-        "albedo": "0 to 1",
+        "albedo": "not negative; up to 1 for what reflects no more than it gets",
         "roughness": "standard deviation of the facet slope angle, radians, 0 to pi/2; clamped to that here",
+        "broken": "albedo or roughness that is no number gives no number",
         "shading": "pi f_r max(0, n.l), linear light; a white Lambertian pixel facing the light is 1",
     }
 

@@ -48,8 +48,9 @@ def stereo_task(model: str) -> ExportTask:
         "source": get_model(model).source,
         "roughness": "one for the object: standard deviation of the facet slope angle, radians; "
         + ("always 0" if model == "lambert" else f"found between {tried} degrees"),
-        "lights": "unit, away from the surface, toward the source; 3 or more, fewer end in an error",
-        "limits": "no near or unknown lights, no light between parts of the surface, no highlights",
+        "lights": CAPTURE_METADATA["lights"] + "; 3 or more, fewer end in an error",
+        "limits": "no near or unknown lights, no light between parts of the surface, no highlights; "
+        "what lights in one plane leave open shows in the error alone",
         "normal": "camera frame, unit, 0 outside the mask",
         "error": "standard error of the normal by residuals and lights, radians, at most a right angle",
         "method": "trimmed, then reweighted (Geman-McClure) least squares, 10 closed-form solutions",
@@ -71,15 +72,15 @@ def stereo_graph(model: str) -> onnx.ModelProto:
 
     def evaluate(vector: str, level: str, roughness: str, prefix: str, inner: Nodes | None = None) -> list[str]:
         """Names of the normal, the cosines, the albedo and the model's value."""
-        found = graph.inline(angles, f"{prefix}angles_", (vector, level, "lights"), inner)
+        found = graph.inline(angles, f"{prefix}angles_", (vector, level, graph.lights), inner)
         return found + graph.inline(value, f"{prefix}value_", (*found[1:], roughness), inner)
 
     def solve(grey: str, level: str, roughness: str, prefix: str) -> list[str]:
-        middle, vector = graph.inline(begin, f"{prefix}begin_", (grey, "lights"))
+        middle, vector = graph.inline(begin, f"{prefix}begin_", (grey, graph.lights))
 
         def turn(inner: Nodes, vector: str, _: str) -> list[str]:
             _, ci, co, _, albedo, shown = evaluate(vector, level, roughness, f"{prefix}turn_", inner)
-            inputs = (grey, "lights", middle, vector, ci, co, albedo, shown)
+            inputs = (grey, graph.lights, middle, vector, ci, co, albedo, shown)
             return graph.inline(update, f"{prefix}update_", inputs, inner)
 
         # The weights need initial values: the trimming weights have the right shape.
@@ -93,13 +94,13 @@ def stereo_graph(model: str) -> onnx.ModelProto:
         vector, _ = solve(few, few_level, tried, "few_")
         _, ci, co, _, albedo, shown = evaluate(vector, few_level, tried, "few_chosen_")
         choose = graph.trace(Choose(), ("grey", "lights", "vector", *EVALUATED), 1, len(CANDIDATES) * SAMPLES)
-        (best,) = graph.inline(choose, "choose_", (few, "lights", vector, ci, co, albedo, shown))
+        (best,) = graph.inline(choose, "choose_", (few, graph.lights, vector, ci, co, albedo, shown))
         roughness = graph.add("Add", roughness, best)
     every = graph.add("Unsqueeze", roughness, "last_axes")
     vector, weight = solve(grey, level, every, "")
     normal, ci, co, lv, albedo, shown = evaluate(vector, level, every, "solved_")
     expect = graph.trace(Expect(), ("grey", "lights", "vector", "weight", *EVALUATED), 1)
-    (error,) = graph.inline(expect, "expect_", (grey, "lights", vector, weight, ci, co, albedo, shown))
+    (error,) = graph.inline(expect, "expect_", (grey, graph.lights, vector, weight, ci, co, albedo, shown))
     refit = graph.trace(Refit(), ("seen", "weight", *EVALUATED), 2)
     paint = albedo
     for step in range(REFITS):

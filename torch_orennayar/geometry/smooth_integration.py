@@ -34,10 +34,11 @@ class Begin(nn.Module):
     def forward(self, normal: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
         """Of normals (3, H, W) and a mask (1, H, W) bool: weights of edges, and what is to be explained.
 
-        Heights are toward the viewer, in pixels.
+        Heights are toward the viewer, in pixels. Normals that are not finite count as outside the mask.
         """
-        inside = mask.to(normal.dtype)
-        x, y, z = normal[:1] * inside, normal[1:2] * inside, normal[2:] * inside
+        sound = mask & normal.isfinite().all(0, keepdim=True)
+        inside = sound.to(normal.dtype)
+        x, y, z = torch.where(sound, normal, 0.0).split(1)
         right, below = z + _next(z, 2), z + _next(z, 1)
         facing = torch.cat((right * _next(inside, 2), below * _next(inside, 1))) * inside
         steep = torch.cat((right, below)).clamp_min(LEAST_FACING)

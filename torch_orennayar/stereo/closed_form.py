@@ -43,6 +43,15 @@ PRIOR = 0.05
 """Weight of the previous solution, as a share of the weight of all lights. Set by hand."""
 
 
+class Clean(nn.Module):
+    """What an app may feed without knowing: samples that are not finite count as dark, lights get unit length."""
+
+    def forward(self, seen: Tensor, lights: Tensor) -> tuple[Tensor, Tensor]:
+        """Of pixels (P, C, K) and lights (K, 3), the same."""
+        length = lights.square().sum(1, keepdim=True).sqrt().clamp_min(1e-12)
+        return torch.where(seen.isfinite(), seen, 0.0), lights / length
+
+
 class Prepare(nn.Module):
     """Grey observations over their mean, and that mean."""
 
@@ -204,7 +213,7 @@ def solve_closed_form(
             vector, weight = Update()(grey, lights, middle, vector, ci, co, albedo, value)
         return vector, weight
 
-    seen = images[:, :, inside].permute(2, 1, 0)
+    seen, lights = Clean()(images[:, :, inside].permute(2, 1, 0), lights)
     grey, level = Prepare()(seen)
     roughness = torch.zeros_like(level)
     if model != "lambert":

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from ..core.progress import track
 from ..core.threads import side_by_side, worker_count
 from ..reconstruction import confidence_from_error
-from .closed_form import Prepare
+from .closed_form import Clean, Prepare
 from .interreflected_light import InterreflectedLight
 from .pixel_grid import Grid
 from .pixel_sample import PixelSample, gather_directions
@@ -132,7 +132,8 @@ def solve_network(
         ``normal`` (3, H, W), ``albedo`` (C, H, W), ``roughness`` (1, H, W), which is 0, and ``error`` (1, H, W), the
         expected error of the normal in radians; 0 outside the mask.
     """
-    maps, error = solve_by_network(images, lights, inside, network)
+    seen, lights = Clean()(images, lights)
+    maps, error = solve_by_network(seen, lights, inside, network)
     return {"normal": maps.normal, "albedo": maps.albedo, "roughness": maps.roughness, "error": error}
 
 
