@@ -61,6 +61,17 @@ def test_unknown_brightness_of_known_lights(ball: tuple[Tensor, Tensor, Tensor])
     assert findings(found, "intensities-from-capture")
 
 
+def test_known_lights_that_are_not_equally_bright_are_told(ball: tuple[Tensor, Tensor, Tensor]) -> None:
+    images, colour, mask = ball
+    even = images / colour[:, :, None, None]
+    shuffled = torch.randperm(COUNT, generator=torch.Generator().manual_seed(0))
+    uneven = even * torch.linspace(0.5, 1.5, COUNT)[shuffled][:, None, None, None]
+    with pytest.warns(UserWarning, match="intensities=|left out"):
+        found = photometric_stereo(uneven, spiral_lights(COUNT), mask, model="lambert")
+    assert findings(found, "lights-unequal")
+    assert not findings(photometric_stereo(even, spiral_lights(COUNT), mask, model="lambert"), "lights-unequal")
+
+
 @pytest.mark.parametrize(
     ("intensities", "error", "match"),
     [

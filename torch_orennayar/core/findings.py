@@ -19,6 +19,7 @@ CODES: dict[str, str] = {
     "no-intensities": "no file of light intensities; all lights are taken as equally bright",
     "intensities-from-capture": "light intensities were estimated from the capture itself",
     "lights-from-ball": "light directions come from a mirror ball; value: its radius in pixels",
+    "lights-out-of-order": "lights agree far better with the names in alphabetical order; value: error over error",
     "no-mask": "no mask; every pixel is taken as the object",
     "mask-found": "no mask; the object was found before its dark background",
     "not-photographs": "number of pictures that their names tell to be something else, and were left out",
@@ -32,7 +33,7 @@ CODES: dict[str, str] = {
     "lights-found": "light directions were found from the photographs; value: their standard error in degrees",
     "brightness-found": "so was the brightness of the lights; value: its standard error in percent",
     "lights-uncertain": "that standard error is large; value: the same",
-    "lights-unequal": "lights taken as equally bright differ by that many percent and are not to be trusted",
+    "lights-unequal": "lights taken as equally bright differ by that many percent; normals, or lights found, are wrong",
     "lights-refined": "lights that were given contradict the photographs and were replaced; value: mean degrees",
     "lights-kept": "the photographs agree with the lights that were given; value: the largest difference in degrees",
     # choice of a model

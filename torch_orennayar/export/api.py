@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import torch
@@ -24,7 +24,11 @@ from .portable_graph import portable_task
 from .renderer_graph import renderer_task
 from .shading_graph import shading_task
 from .stereo_graph import stereo_task
+from .task import ExportTask
 from .verify import verify
+
+RENDERERS = ("renderer", "shaded_mesh")
+"""Kinds of graphs that see a mesh with a camera."""
 
 
 @independent_of_defaults
@@ -117,24 +121,20 @@ def export_onnx(
     require("onnx", "onnxscript", "onnxruntime")
     if dtype not in (torch.float32, torch.float16):
         raise ExportError("dtype", expected="float32 or float16", got=str(dtype), mend="choose one")
+    used = {
+        "checked": (checked, ("shading",)),
+        "portable": (portable, ("shading",)),
+        "per_pixel_directions": (per_pixel_directions, ("shading",)),
+        "view_inputs": (view_inputs, RENDERERS),
+        "camera": (camera is not None, RENDERERS),
+        "size": (size is not None, (*RENDERERS, "portable shading")),
+        "example_inputs": (example_inputs is not None, ("a module",)),
+        f"model={NETWORK!r}": (model == NETWORK, ("stereo",)),
+    }
     kind = what if isinstance(what, str) else "a module"
-    renderers = ("renderer", "shaded_mesh")
-    for name, given, kinds in (
-        ("checked", checked, ("shading",)),
-        ("portable", portable, ("shading",)),
-        ("per_pixel_directions", per_pixel_directions, ("shading",)),
-        ("view_inputs", view_inputs, renderers),
-        ("camera", camera is not None, renderers),
-        ("size", size is not None, (*renderers, "portable shading")),
-        ("example_inputs", example_inputs is not None, ("a module",)),
-        (f"model={NETWORK!r}", model == NETWORK, ("stereo",)),
-    ):
-        if given and kind not in kinds and not (kind == "shading" and portable and "portable shading" in kinds):
-            raise ExportError(name, expected=f"with {' or '.join(kinds)}", got=kind, mend="leave it out")
+    _check_options(f"portable {kind}" if portable and kind == "shading" else kind, used, Path(path))
     if checked and portable:
         raise ExportError("checked", expected="not with portable", got="both", mend="leave one out")
-    if Path(path).suffix.lower() != ".onnx":
-        raise ExportError("path", expected="a name that ends in .onnx", got=str(path), mend="add the suffix")
     if isinstance(what, nn.Module):
         task = module_task(what, example_inputs, input_names, output_names)
     elif what == "shading" and portable:
@@ -145,26 +145,37 @@ def export_onnx(
         task = network_task() if model == NETWORK else stereo_task(model)
     elif what == "integration":
         task = integration_task()
-    elif what in ("renderer", "shaded_mesh"):
+    elif what in RENDERERS:
         task = renderer_task(camera, size, model if what == "shaded_mesh" else None, view_inputs=view_inputs)
     else:
         expected = "'shading', 'renderer', 'shaded_mesh', 'stereo', 'integration' or a module"
         raise ExportError("what", expected=expected, got=repr(what), mend="choose one")
+    return _write(task, what if isinstance(what, str) else type(what).__name__, dtype, Path(path))
+
+
+def _write(task: ExportTask, name: str, dtype: torch.dtype, path: Path) -> Path:
+    """Write the graph called ``name`` with its metadata, whole and verified, or not at all."""
+    import onnx
+
     if dtype == torch.float16:
         to_half(task.graph)
-    name = what if isinstance(what, str) else type(what).__name__
-    write_metadata(
-        task.graph,
-        {
-            "graph": f"portable {name}" if portable else name,
-            "precision": str(dtype).removeprefix("torch."),
-            **task.metadata,
-        },
-    )
-    target = Path(path)
-    with atomic_path(target) as temporary:
-        import onnx
-
+    write_metadata(task.graph, {"graph": name, "precision": str(dtype).removeprefix("torch."), **task.metadata})
+    with atomic_path(path) as temporary:
         onnx.save(task.graph, temporary)
         verify(temporary, task, dtype)
-    return target
+    return path
+
+
+def _check_options(kind: str, used: Mapping[str, tuple[bool, tuple[str, ...]]], path: Path) -> None:
+    """Refuse options that a graph of this kind does not use, and a name that other programs would not take for ONNX.
+
+    Args:
+        kind: of the graph.
+        used: for every option whether it is given, and the kinds that use it.
+        path: of the file.
+    """
+    for name, (given, kinds) in used.items():
+        if given and kind not in kinds and kind.removeprefix("portable ") not in kinds:
+            raise ExportError(name, expected=f"with {' or '.join(kinds)}", got=kind, mend="leave it out")
+    if path.suffix.lower() != ".onnx":
+        raise ExportError("path", expected="a name that ends in .onnx", got=str(path), mend="add the suffix")

@@ -55,7 +55,10 @@ def portable_task(model: str, *, per_pixel: bool, size: tuple[int, int] | None) 
     trials.append(out_of_range(trials[0]))
     if size is None:
         trials.append(constant_parameters(trials[0]))
-    metadata = shading_metadata(model) | {"axes": "every axis of size 1 broadcasts"}
+    metadata = shading_metadata(model) | {
+        "axes": "every axis of size 1 broadcasts",
+        "portable": f"only operators {', '.join(sorted(PORTABLE))}; a normal that is no number gives no number",
+    }
 
     def shade(*inputs: Tensor) -> tuple[Tensor, ...]:
         return (shade_anything(*inputs, model=model),)

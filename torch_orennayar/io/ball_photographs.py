@@ -95,7 +95,8 @@ def lights_of_ball_folder(folder: Path, names: Sequence[str], encoding: str, bal
     """
     files, mask_file = _ball_files(folder, None)
     stems = {file.stem.lower(): file for file in files}
-    if all(Path(name).stem.lower() in stems for name in names):
+    paired = all(Path(name).stem.lower() in stems for name in names)
+    if paired:
         files = [stems[Path(name).stem.lower()] for name in names]
     if len(files) != len(names):
         known = {Path(name).stem.lower() for name in names}
@@ -109,7 +110,8 @@ def lights_of_ball_folder(folder: Path, names: Sequence[str], encoding: str, bal
     images = read_photographs(files, encoding, torch.ones(len(files), 3)).images
     if ball is None and mask_file is not None:
         ball = find_ball(read_mask(mask_file, (images.shape[2], images.shape[3]))[0])
-    return lights_of_ball(images, ball, f" in {folder.name}")
+    by_order = "" if paired else f", paired by order, {files[0].name} with {names[0]} and so on,"
+    return lights_of_ball(images, ball, f" in {folder.name}{by_order}")
 
 
 @independent_of_defaults

@@ -15,12 +15,13 @@ from ..core.defaults import independent_of_defaults
 from ..core.errors import FileError, RangeError
 from ..core.findings import Finding
 from ..geometry.primitives import Ball
-from ..stereo.calibrate import own_intensities
+from ..stereo.calibrate import own_intensities, unequal_intensities
 from .ball_photographs import BallLights, lights_of_ball, lights_of_ball_beside
 from .capture_lights import GivenLights, given_ball, lights_from_photographs, read_lights
 from .encoding_choice import choose_encoding
 from .images import write_image
 from .light_files import DIRECTIONS_FILE, INTENSITIES_FILE, read_intensities
+from .light_order import doubt_order
 from .masks import find_mask, read_mask
 from .object_mask import disc, find_object
 from .photographs import find_ambient, odd_pictures, read_photographs
@@ -82,7 +83,8 @@ class Capture:
         raw = self.images * self.intensities[:, :, None, None].to(self.images)
         found = own_intensities(raw, self.lights, self.mask, seed=seed)
         text = f"intensities of the lights found from the capture itself, {found.min():.2f} to {found.max():.2f}."
-        notes = (*self.notes, Finding(text, "intensities-from-capture"))
+        kept = (note for note in self.notes if note.code not in ("no-intensities", "intensities-from-capture"))
+        notes = (*kept, Finding(text, "intensities-from-capture"))
         images = raw.div_(found[:, :, None, None])
         return replace(self, images=images, intensities=found.expand(-1, 3).float(), notes=notes)
 
@@ -105,13 +107,14 @@ def load_capture(
 ) -> Capture:
     """Load a capture: a DiLiGenT folder, a folder with a light file, an ``.lp`` file, or images with a mirror ball.
 
-    The folder may hold: ``filenames.txt`` (without it, all images but the mask, in natural order);
+    The folder may hold: ``filenames.txt`` (without it, all images but the mask, in natural order: 2 before 10);
     ``light_directions.txt``, ``lights.txt`` or ``lights.csv`` (one line ``x y z`` per image, with or without its name,
-    or a table whose first line names its columns), or one ``*.lp``; ``light_intensities.txt`` (1 or 3 numbers per line,
-    default 1); a mask, any picture with ``mask`` in its name (the opaque part where alpha varies, every label but 0, or
-    what is brighter than half the maximum); a photograph with all lights off (``ambient.*``, or a name that ends with
-    ``off`` or ``dark``), which is subtracted; ``Normal_gt.mat`` or ``normal_gt.npy``, true normals (H, W, 3). Pictures
-    called ``ref`` or ``preview``, or whose names end so, are left out.
+    or a table whose first line names its columns), or one ``*.lp``; ``light_intensities.txt`` (1 or 3 numbers per line;
+    default 1, or what 8 photographs or more show where they differ); a mask, any picture with ``mask`` in its name (the
+    opaque part where alpha varies, every label but 0, or what is brighter than half the maximum); a photograph with all
+    lights off (``ambient.*``, or a name that ends with ``off`` or ``dark``), which is subtracted; ``Normal_gt.mat`` or
+    ``normal_gt.npy``, true normals (H, W, 3). Pictures called ``ref`` or ``preview``, or whose names end so, are left
+    out.
 
     Without a mask the object is found where it stands before a dark background; otherwise every pixel counts. Without a
     light file a mirror ball beside the object is looked for, and then the lights are found from the photographs
@@ -186,10 +189,26 @@ def load_capture(
     )
     capture = _read(plan, encoding)
     if encoding != "auto" or given.positions is not None or "read-as-srgb" not in {n.code for n in capture.notes}:
-        return capture
+        return _judged(capture, by_order=given.by_order)
     is_linear, chosen = choose_encoding(capture.images, capture.lights, capture.intensities, capture.mask[0])
     capture = _read(plan, "linear") if is_linear else capture
-    return replace(capture, notes=(*capture.notes, *chosen))
+    return _judged(replace(capture, notes=(*capture.notes, *chosen)), by_order=given.by_order)
+
+
+def _judged(capture: Capture, *, by_order: bool) -> Capture:
+    """The capture with what its photographs say of its lights, divided by their brightness if no file states it.
+
+    ``by_order``: lights belong to photographs by their order, not by names.
+    """
+    if by_order:
+        notes = doubt_order(capture.images, capture.lights, capture.mask, capture.names)
+        capture = replace(capture, notes=(*notes, *capture.notes))
+    if capture.positions is not None or "no-intensities" not in {note.code for note in capture.notes}:
+        return capture
+    if {"lights-found", "lights-unequal"} & {note.code for note in capture.notes}:
+        return capture  # their brightness was judged when they were found
+    found = unequal_intensities(capture.images, capture.lights, capture.mask)
+    return capture if found is None else capture.with_own_intensities()
 
 
 @dataclass(frozen=True)

@@ -35,6 +35,7 @@ class GivenLights(NamedTuple):
         intensities: (K, 1 or 3), or None.
         positions: (K, 3) of near lights in mm, or None.
         ball: the ball in photographs of its own that told the directions, or None.
+        by_order: the lights belong to the photographs by order, as no names say which to which.
     """
 
     files: list[Path]
@@ -42,6 +43,7 @@ class GivenLights(NamedTuple):
     intensities: Tensor | None = None
     positions: Tensor | None = None
     ball: BallLights | None = None
+    by_order: bool = False
 
 
 def read_lights(
@@ -90,7 +92,8 @@ def read_lights(
     light_file = Path(lights) if lights is not None else find_light_file(source)
     if light_file is not None and ball is None:
         files, listed = pair_with_lights(folder, light_file, others, read_directions)
-        return GivenLights(files, listed.directions, listed.intensities)
+        listed_files = (folder / "filenames.txt").is_file()
+        return GivenLights(files, listed.directions, listed.intensities, by_order=not listed.names and not listed_files)
     return GivenLights(list_photographs(folder, others))
 
 

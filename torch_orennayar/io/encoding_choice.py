@@ -35,12 +35,10 @@ def choose_encoding(images: Tensor, lights: Tensor, intensities: Tensor, inside:
     Returns:
         The choice, and a finding with the error on lights left out for either encoding; nothing with few lights.
     """
-    held_out = hold_out(lights, 0) if len(lights) >= MIN_LIGHTS_HELD_OUT else None
+    held_out = _hold_out(lights)
     if held_out is None:
         return False, []
-    places = inside.flatten().nonzero().flatten()
-    order = torch.randperm(len(places), generator=torch.Generator().manual_seed(0))
-    decoded = images.flatten(2)[:, :, places[order[:PIXELS]]].float()
+    decoded = _some(images, inside)
     encoded = linear_to_srgb(decoded[..., None] * intensities[:, :, None, None])[..., 0] / intensities[:, :, None]
     srgb, linear = (_error(values, lights, held_out) for values in (decoded, encoded))
     is_linear = linear < CLEARLY * srgb
@@ -49,6 +47,26 @@ def choose_encoding(images: Tensor, lights: Tensor, intensities: Tensor, inside:
         f"are predicted with an error of {linear:.3f} as linear light and {srgb:.3f} as sRGB."
     )
     return is_linear, [Finding(text, "encoding-chosen", linear / max(srgb, 1e-9))]
+
+
+def prediction_error(images: Tensor, lights: Tensor, inside: Tensor, brightness: Tensor | None) -> float | None:
+    """Error on lights left out of images (K, C, H, W) divided by ``brightness`` (K, 1); None with few lights."""
+    held_out = _hold_out(lights)
+    if held_out is None:
+        return None
+    values = _some(images, inside)
+    return _error(values if brightness is None else values / brightness[:, :, None], lights, held_out)
+
+
+def _hold_out(lights: Tensor) -> tuple[Tensor, Tensor] | None:
+    return hold_out(lights, 0) if len(lights) >= MIN_LIGHTS_HELD_OUT else None
+
+
+def _some(images: Tensor, inside: Tensor) -> Tensor:
+    """Samples (K, C, P) of some pixels inside."""
+    places = inside.flatten().nonzero().flatten()
+    order = torch.randperm(len(places), generator=torch.Generator().manual_seed(0))
+    return images.flatten(2)[:, :, places[order[:PIXELS]]].float()
 
 
 def _error(values: Tensor, lights: Tensor, held_out: tuple[Tensor, Tensor]) -> float:

@@ -18,7 +18,7 @@ from . import robust_fit
 from .material import LightDirections, Material
 from .pixel_sample import PixelSample
 from .robust_fit import PixelFit
-from .robust_stats import mean_brightness
+from .robust_stats import MAD_TO_SIGMA, mean_brightness
 
 HIGHLIGHT = 0.5
 """Share of the brightest pixel on the ball above which pixels belong to a highlight. Set by hand."""
@@ -39,6 +39,11 @@ OVERSHOOT = 1.8
 """Over-relaxation: the power of the change of the intensities. The alternation converges slowly with 1. Set by hand."""
 CALIBRATION_PIXELS = 4000
 """Pixels from which the intensities are found. Set by hand."""
+LIGHTS_TO_JUDGE, LEAST_TO_JUDGE, PIXELS_TO_JUDGE = 8, 64, 1000
+"""Fewest lights whose brightness is doubted, fewest and most pixels of the first look. Set by hand."""
+UNEQUAL = 0.12
+"""Standard deviation of the logarithm of the lights' brightness, by the first look, from which they are not taken as
+equally bright. Set by hand: six captures of equal lights show up to .07, two of unequal ones .33 and .50."""
 
 
 def find_ball(mask: Tensor) -> Ball:
@@ -259,6 +264,28 @@ def own_intensities(images: Tensor, lights: Tensor, mask: Tensor | None = None, 
     _check_lights(images, lights)
     if len(images) < 5:
         raise CaptureError("images", expected="at least 5", got=str(len(images)), mend="calibrate with a grey ball")
+    return _alternate(_draw_sample(images, lights, mask, seed), ROUNDS).to(images)
+
+
+def unequal_intensities(images: Tensor, lights: Tensor, mask: Tensor | None = None, *, seed: int = 0) -> Tensor | None:
+    """`own_intensities` (K, 1) where the photographs say that the lights are not equally bright, else None."""
+    return unequal_brightness(_draw_sample(images, lights, mask, seed))
+
+
+def unequal_brightness(sample: PixelSample) -> Tensor | None:
+    """Brightness (K, 1) of the lights of pixels that say that it differs, else None.
+
+    A first look at few pixels decides, and the middle of the lights, so that single broken photographs do not.
+    """
+    if sample.grey.shape[1] < LIGHTS_TO_JUDGE or len(sample) < LEAST_TO_JUDGE:
+        return None
+    first = _alternate(sample[:PIXELS_TO_JUDGE], 1).log()
+    spread = MAD_TO_SIGMA * float((first - first.median()).abs().median())
+    return _alternate(sample[:CALIBRATION_PIXELS], ROUNDS) if spread > UNEQUAL else None
+
+
+def _draw_sample(images: Tensor, lights: Tensor, mask: Tensor | None, seed: int) -> PixelSample:
+    """Pixels that 3 lights or more reach."""
     inside = torch.ones(images.shape[2:], dtype=torch.bool) if mask is None else mask[0]
     grey = images.mean(1)[:, inside].T.float()
     places = inside.flatten().nonzero().flatten()
@@ -266,22 +293,25 @@ def own_intensities(images: Tensor, lights: Tensor, mask: Tensor | None = None, 
     grey, places = grey[lit], places[lit]
     generator = torch.Generator().manual_seed(seed)
     some = torch.randperm(len(grey), generator=generator)[:CALIBRATION_PIXELS].to(grey.device)
-    directions = LightDirections.of(lights.to(grey))
-    sample = PixelSample(grey[some], directions, places[some], images.shape[3])
-    intensity = torch.ones(1, len(images), device=grey.device)
+    return PixelSample(grey[some], LightDirections.of(lights.to(grey)), places[some], images.shape[3])
+
+
+def _alternate(sample: PixelSample, rounds: int) -> Tensor:
+    """Brightness (K, 1) of the lights after so many fits, each under the brightness before."""
+    intensity = torch.ones_like(sample.grey[:1])
     fitted: PixelFit | None = None
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         scaled = replace(sample, grey=sample.grey / intensity)
         if fitted is None:
             fitted = robust_fit.fit(scaled, Material(), steps=8)
         else:
             fitted = robust_fit.fit(scaled, Material(), start=fitted, steps=3)
-        predicted = robust_fit.predict(fitted, directions, Material())
+        predicted = robust_fit.predict(fitted, sample.directions, Material())
         weight = robust_fit.weights(fitted, scaled.grey, predicted, "lit") / mean_brightness(scaled.grey).square()
         gain = (weight * scaled.grey * predicted).sum(0) / (weight * predicted.square()).sum(0).clamp_min(1e-12)
         intensity = intensity * gain**OVERSHOOT
         intensity = intensity / intensity.mean()
-    return intensity.T.to(images)
+    return intensity.T
 
 
 def _check_images(images: Tensor) -> None:

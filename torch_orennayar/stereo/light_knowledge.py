@@ -9,9 +9,11 @@ from torch import Tensor
 from ..core.checks import check_mask
 from ..core.errors import RangeError, ShapeError
 from ..core.findings import Finding
-from .calibrate import own_intensities
+from ..core.warn import warn
+from .calibrate import own_intensities, unequal_brightness
 from .capture_checks import find_valid
 from .light_refinement import refine_lights
+from .pixel_sample import PixelSample
 from .unknown_lights import find_lights
 
 Intensities = Literal["equal", "unknown"]
@@ -95,6 +97,20 @@ def know_lights(
         found = refine_lights(images, lights, inside, valid)
         lights, findings = found.directions.to(images), (*findings, *found.findings)
     return LightKnowledge(images, lights, divisor, valid, findings)
+
+
+def doubt_brightness(sample: PixelSample) -> list[Finding]:
+    """A finding, and a warning, where pixels say that lights taken as equally bright are not."""
+    found = unequal_brightness(sample)
+    if found is None:
+        return []
+    spread = 100 * float(found.log().std())
+    text = (
+        f"the photographs say that the lights' brightness differs, by {spread:.0f} %: from {found.min():.2f} to "
+        f'{found.max():.2f} of the mean; intensities="unknown" (--own-intensities) divides by it.'
+    )
+    warn(text)
+    return [Finding(text, "lights-unequal", spread)]
 
 
 def _check_intensities(intensities: Tensor, images: Tensor) -> Tensor:

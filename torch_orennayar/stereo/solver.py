@@ -20,7 +20,7 @@ from .broken_frames import find_broken_frames
 from .capture_checks import check_directions, check_shapes, find_dark_pixels, find_valid, leave_out
 from .interreflection import choose_interreflected_light
 from .light_frame import check_light_frame
-from .light_knowledge import Intensities, know_lights
+from .light_knowledge import Intensities, doubt_brightness, know_lights
 from .material_choice import choose_material, judge_roughness_map
 from .material_mixture import choose_mixture, mixture_findings
 from .material_refinement import MIN_LIGHTS_HELD_OUT
@@ -162,7 +162,7 @@ def _solve_known(
     sample = PixelSample.gather(images, lights, _draw_places(inside & ~dark, seed))
     findings = check_directions(sample.directions) + clipped
     if robust and lights.ndim == 2:  # maps of near lights are refined with the surface, and misfit until then
-        findings += check_distant_lights(sample, inside)
+        findings += check_distant_lights(sample, inside) + doubt_brightness(sample)
         broken, found_broken = find_broken_frames(sample)
         findings += found_broken
         if bool(broken.any()):
