@@ -11,7 +11,7 @@ import subprocess
 import sys
 
 from scripts.benchmarks.record import ROOT
-from scripts.website import links, models, pages, reference
+from scripts.website import commands, links, models, pages, reference
 
 SOURCE, CACHE, SITE = (ROOT / "out" / name for name in ("site-source", "site-cache", "site"))
 
@@ -23,6 +23,7 @@ def main(options: list[str]) -> None:
     SOURCE.mkdir(parents=True)
     pages.write(SOURCE)
     reference.write(SOURCE / "reference")
+    commands.write(SOURCE / "commands.md")
     models.write(SOURCE / "models")
     command = [sys.executable, "-m", "sphinx", "-c", "scripts/website", "-W", "--keep-going", "--quiet", *options]
     # The gallery's warnings would show with the paths of this machine; the reports that it prints say the same.

@@ -16,7 +16,7 @@ from scripts.benchmarks.record import ROOT
 REPOSITORY = "https://github.com/torch-orennayar/torch_orennayar"
 """Where a link to a file leads that is no page of the site; the address of pyproject.toml."""
 GUIDES = (
-    "shading", "rendering", "photometric-stereo", "captures", "mirror-ball", "unknown-lights", "near-lamps",
+    "install", "shading", "rendering", "photometric-stereo", "captures", "mirror-ball", "unknown-lights", "near-lamps",
     "shape-from-shading", "synthetic-data", "onnx", "conventions-and-errors", "what-to-expect", "coming-from-elsewhere",
 )  # fmt: skip
 """The guides in the order of the menu."""
@@ -31,7 +31,7 @@ DOCUMENTS = {
 """Document of the repository and page of the site."""
 MENU = {
     "Guides": [f"guides/{name}" for name in GUIDES],
-    "Reference": ["reference/index", "models/index", "gallery/index"],
+    "Reference": ["reference/index", "commands", "models/index", "gallery/index"],
     "Project": ["measurements", "changelog", "contributing", "security"],
 }
 """Captions of the menu and their pages."""

@@ -10,6 +10,7 @@ import pytest
 
 from tests.support.command_line import Run
 from torch_orennayar.cli.batch import name_folders
+from torch_orennayar.io.images import read_image
 
 
 def test_a_folder_is_inspected_before_it_is_solved(orennayar: Run, capture_folder: Path, tmp_path: Path) -> None:
@@ -22,6 +23,13 @@ def test_a_folder_is_inspected_before_it_is_solved(orennayar: Run, capture_folde
     page = (tmp_path / "seen" / "inspection.html").read_text()
     assert page.count('<svg class="dial"') == 12
     assert not (tmp_path / "seen" / "result.json").exists()
+    assert not (tmp_path / "seen" / "object_mask.png").exists()  # a file holds it
+    assert read_image(tmp_path / "seen" / "outline.png").shape == (32, 32, 3)
+    mask = read_image(capture_folder / "mask.png")
+    (capture_folder / "mask.png").unlink()
+    result = orennayar("inspect", capture_folder, "-o", tmp_path / "seen")
+    assert "object_mask.png" in result.out
+    assert read_image(tmp_path / "seen" / "object_mask.png").shape == mask.shape
 
 
 def test_a_folder_without_photographs_cannot_be_inspected(orennayar: Run, tmp_path: Path) -> None:

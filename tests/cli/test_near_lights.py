@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 import torch.nn.functional as F
+import trimesh
 from torch import Tensor
 
 from tests.support import rendered_captures
@@ -28,6 +29,13 @@ def test_positions_from_a_file(orennayar: Run, meshes: dict[str, tuple[Tensor, T
     result = orennayar("stereo", folder, "-o", tmp_path / "out", "--model", "vcavity", "--positions",
                        tmp_path / "lamps.csv", "--camera-distance", 100 * scene.distance, "--fov", 35)  # fmt: skip
     assert result.status == 0
+    extent = trimesh.load(tmp_path / "out" / "mesh.ply").extents
+    np.savetxt(tmp_path / "lamps.csv", from_object.numpy() / 10, delimiter=",")
+    options = ("--unit", "cm", "--camera-distance", 10 * scene.distance, "--fov", 35, "--no-report")
+    result = orennayar("stereo", folder, "-o", tmp_path / "cm", "--model", "vcavity", "--positions",
+                       tmp_path / "lamps.csv", *options)  # fmt: skip
+    assert result.status == 0
+    assert np.allclose(trimesh.load(tmp_path / "cm" / "mesh.ply").extents, extent, rtol=1e-3)
     normal = torch.from_numpy(np.load(tmp_path / "out" / "normal.npy"))
     assert angular_error(normal, scene.normal, scene.mask).summary()["mean"] < 4
     albedo = torch.from_numpy(np.load(tmp_path / "out" / "albedo.npy"))[:, scene.mask[0]]
@@ -40,7 +48,8 @@ def test_positions_from_a_file(orennayar: Run, meshes: dict[str, tuple[Tensor, T
     ("options", "message"),
     [
         (("--camera-distance", "400"), "leave --camera-distance and --fov out"),
-        (("--positions", "lamps.csv"), "measure the distance"),
+        (("--positions", "lamps.csv"), "got no --camera-distance and no --fov"),
+        (("--positions", "lamps.csv", "--camera-distance", "400"), "got no --fov"),
         (("--unit", "cm"), "leave --unit out"),
         (("--positions", "lamps.csv", "--crop", "0,0,9,9"), "choose a part with --mask"),
         (("--pixel-size", "-1"), "millimetres divided by its pixels"),

@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from torch_orennayar import FileError, RangeError
+from torch_orennayar.io.light_files import read_directions
 from torch_orennayar.io.light_positions import read_positions
 
 POSITIONS = torch.tensor([[180.0, 0, 260], [-90, 155.5, 260], [-90, -155.5, 260]])
@@ -65,6 +66,13 @@ def test_names_of_photographs(tmp_path: Path, text: str) -> None:
     listed = read_positions(file)
     assert listed.names == ["a b.jpg", "c.jpg", "d.jpg"]
     assert torch.allclose(listed.directions, POSITIONS)
+
+
+def test_positions_given_as_directions_are_known_by_their_header(tmp_path: Path) -> None:
+    file = tmp_path / "lights.csv"
+    file.write_text("x_mm,y_mm,z_mm\n180,0,260\n-90,155,260\n-90,-155,260\n")
+    with pytest.raises(FileError, match="--positions"):
+        read_directions(file)
 
 
 @pytest.mark.parametrize(

@@ -111,6 +111,8 @@ def test_verdicts() -> None:
     assert verdict((Finding("much.", "clipped-samples", 5.0),), maps).word == "look"
     assert verdict((), replace(maps, residual=0.2 * MASK)).word == "doubtful"
     assert verdict((), replace(maps, confidence=0.1 * MASK)).word == "look"
+    few = MASK & (MASK.cumsum(1).cumsum(2) < 50)
+    assert any("pixels were solved" in reason for reason in verdict((), replace(maps, mask=few)).reasons)
 
 
 def _note(said: list[str], what: object) -> None:

@@ -10,7 +10,7 @@ import torch
 
 import torch_orennayar as ton
 from scripts.benchmarks.record import ROOT
-from scripts.website import formulas, links, models, pages, reference, spheres
+from scripts.website import commands, formulas, links, models, pages, reference, spheres
 
 
 def test_every_public_name_is_in_the_reference_once(tmp_path: Path) -> None:
@@ -36,6 +36,12 @@ def test_documents_lead_to_each_other(tmp_path: Path) -> None:
     assert set(pages.DOCUMENTS.values()) - {"index.md"} <= {
         f"{p}.md" for entries in pages.MENU.values() for p in entries
     }
+
+
+def test_every_command_is_on_the_page_of_commands() -> None:
+    listed = re.findall(r"^  (\w+)  ", commands.help_of().partition("Commands:")[2], re.MULTILINE)
+    assert sorted(listed) == sorted(commands.COMMANDS)
+    assert "--own-intensities" in commands.help_of("stereo")
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ import typer
 
 from ..core.errors import FileError, TorchOrenNayarError
 from ..core.files import atomic_path, read_json
-from .options import Output, StereoModel
+from .options import Output, Report, StereoModel
 
 COLUMNS = ("capture", "images", "model", "verdict", "seconds")
 LISTED = "captures.json"
@@ -28,7 +28,7 @@ def batch(
     captures: Annotated[list[Path], typer.Argument(help="Folders, or text files that list folders, one per line.")],
     output: Output = Path("out"),
     model: Annotated[StereoModel, typer.Option(help="Reflectance model, or network; auto chooses.")] = "auto",
-    report: Annotated[bool, typer.Option(" /--no-report", help="Write no figures and no report.html.")] = True,
+    report: Report = True,
     again: Annotated[bool, typer.Option("--again", help="Solve captures that have a result, too.")] = False,
     scheduler: Annotated[
         str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler whose workers solve the captures.")

@@ -16,7 +16,10 @@ if TYPE_CHECKING:
     from ..geometry.primitives import Ball
 
 Kind = Literal["chrome", "grey", "own"]
-Circle = Annotated[str | None, typer.Option(metavar="X,Y,RADIUS", help="The ball: column, row, radius in pixels.")]
+Circle = Annotated[
+    str | None,
+    typer.Option("--ball", "--circle", metavar="X,Y,RADIUS", help="The ball: column, row, radius in pixels."),
+]
 
 
 def calibrate(
@@ -39,7 +42,7 @@ def calibrate(
     from ..stereo.calibrate import ball_intensities, light_directions, own_intensities
 
     check_output(output)
-    given = None if circle is None else Ball(*parse_vector("--circle", circle))
+    given = None if circle is None else Ball(*parse_vector("--ball", circle))
     if kind == "chrome":
         images, shape = load_ball(folder, mask=mask, encoding=encoding)
         values, name = light_directions(images, _find(given, images, shape, mirror=True)), DIRECTIONS_FILE

@@ -10,7 +10,7 @@ import typer
 from ..core.files import check_output
 from .options import EncodingOption, Output
 
-FILES = {"inspection.html", "ball.png"}
+FILES = {"inspection.html", "ball.png", "object_mask.png", "outline.png"}
 """Files that the command may write."""
 
 
@@ -30,16 +30,21 @@ def inspect(
     check_output(output, FILES)
     seen = inspect_folder(capture, encoding)
     with results_directory(output) as folder:
-        balls = []
-        if seen.ball_picture is not None:
-            write_image(folder / "ball.png", seen.ball_picture)
-            balls = [folder / "ball.png"]
+        pictures = {"outline.png": seen.mask_picture, "ball.png": seen.ball_picture}
+        for name, picture in pictures.items():
+            if picture is not None:
+                write_image(folder / name, picture)
+        if seen.mask is not None:
+            write_image(folder / "object_mask.png", seen.mask.float())
+        drawn = [folder / name for name, picture in pictures.items() if picture is not None]
         sections = (
             Section("What was understood", seen.findings, ("what", "found"), seen.rows),
-            Section("Photographs", markup=contact_markup(seen.shown, seen.count), pictures=balls),
+            Section("Photographs", markup=contact_markup(seen.shown, seen.count), pictures=drawn),
         )
         write_report(folder / "inspection.html", capture.resolve().name, sections)
     print_table(("what", "found"), seen.rows)
     for finding in seen.findings:
         typer.echo(finding)
+    if seen.mask is not None:
+        typer.echo(f"edit {output / 'object_mask.png'} and give it as --mask where it is not the object")
     typer.echo(f"open {output / 'inspection.html'}")

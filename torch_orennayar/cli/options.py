@@ -32,12 +32,19 @@ PositionFile = Annotated[
     Path | None, typer.Option(help="File of near lights: x y z from the object, right, up, to the camera, in mm.")
 ]
 CameraDistance = Annotated[
-    float | None, typer.Option("--camera-distance", help="Camera to object in mm, for --positions.", min=1)
+    float | None,
+    typer.Option("--camera-distance", help="Camera to object in mm, or in --unit, for --positions.", min=1),
 ]
-UnitOption = Annotated[LengthUnit | None, typer.Option(help="Unit of --positions where the file states none.")]
+UnitOption = Annotated[
+    LengthUnit | None, typer.Option(help="Unit of --positions where the file states none, and of --camera-distance.")
+]
 PixelSize = Annotated[
     float | None,
     typer.Option("--pixel-size", metavar="MM", help="Of the object, what a pixel of the photographs covers, in mm."),
+]
+Report = Annotated[bool, typer.Option(" /--no-report", help="Write no figures and no report.html.", show_default=False)]
+Animation = Annotated[
+    bool, typer.Option(" /--no-animation", help="Write no relight.gif and turntable.gif.", show_default=False)
 ]
 RefineLights = Annotated[
     bool, typer.Option("--refine-lights", help="Replace lights of the file that the photographs contradict.")
@@ -62,9 +69,16 @@ Size = Annotated[int, typer.Option(help="Height and width in pixels.", min=1, ma
 Azimuth = Annotated[float, typer.Option(help="Degrees by which the camera moves to the right.", min=-360, max=360)]
 Elevation = Annotated[float, typer.Option(help="Degrees by which it rises.", min=-89, max=89)]
 FieldOfView = Annotated[
-    float | None, typer.Option(help="Vertical field of view in degrees; default: orthographic.", min=1, max=170)
+    float | None,
+    typer.Option(help="Vertical view in degrees; default: orthographic; with --positions required.", min=1, max=170),
 ]
-Light = Annotated[str, typer.Option(metavar="X,Y,Z", help="Direction to the light: right, up, toward the viewer.")]
+Light = Annotated[
+    str,
+    typer.Option(
+        metavar="X,Y,Z",
+        help="Direction to the light, of any length: right, up, toward the viewer; its place from the object will do.",
+    ),
+]
 
 VECTORS = {"--light": 3, "--circle": 3, "--ball": 3, "--crop": 4}
 """Options that take several numbers, and how many, with commas or with spaces between them."""

@@ -14,6 +14,7 @@ from ..core.errors import RangeError
 from ..core.files import check_output
 from .capture_options import load_from_options
 from .options import (
+    Animation,
     BallMask,
     BallOutline,
     CameraDistance,
@@ -27,6 +28,7 @@ from .options import (
     PixelSize,
     PositionFile,
     RefineLights,
+    Report,
     Scale,
     Seed,
     StereoModel,
@@ -64,26 +66,27 @@ def stereo(
     ] = False,
     refine_lights: RefineLights = False,
     least_squares: LeastSquares = False,
-    report: Annotated[bool, typer.Option(" /--no-report", help="Write no figures and no report.html.")] = True,
-    animation: Annotated[bool, typer.Option(" /--no-animation", help="Write no relight.gif and turntable.gif.")] = True,
+    report: Report = True,
+    animation: Animation = True,
     seed: Seed = 0,
 ) -> None:
     """Photographs under several lights in; normals, albedo, roughness, depth and a mesh out."""
     from ..io.contact_sheet import thumbnails
+    from ..io.light_positions import MILLIMETRES
     from ..io.results import RECONSTRUCTION_FILES, write_reconstruction
 
     if least_squares and model not in ("auto", "lambert"):
         raise RangeError("--least-squares", expected="no --model, or lambert", got=model, mend="leave one of them out")
     _check_size(positions, unit, pixel_size)
     _check_near(positions, distance, fov, crop, other=refine_lights or least_squares)
+    distance = None if distance is None else distance * MILLIMETRES[unit or ""]
     check_output(output, RECONSTRUCTION_FILES)
     begun = time.perf_counter()
     loaded = load_from_options(
         capture, lights=lights, mask=mask, chrome=chrome, positions=positions, ambient=ambient, encoding=encoding,
         ball=ball, ball_mask=ball_mask, crop=crop, scale=scale, unit=unit,
     )  # fmt: skip
-    if own_intensities:
-        loaded = loaded.with_own_intensities(seed=seed)
+    loaded = loaded.with_own_intensities(seed=seed) if own_intensities else loaded
     ready = time.perf_counter()
     if distance is not None and fov is not None:
         found = _solve_near(loaded, model, distance, fov, seed)
@@ -154,9 +157,15 @@ def _check_near(
         raise RangeError(
             "--positions",
             expected="--camera-distance and --fov, and neither --refine-lights nor --least-squares",
-            got="other options",
+            got=_described(distance, fov, other=other),
             mend="measure the distance from the camera to the object in mm, and give the vertical angle of view",
         )
+
+
+def _described(distance: float | None, fov: float | None, *, other: bool) -> str:
+    """What is missing or too much beside ``--positions``."""
+    missing = [f"no {name}" for name, value in (("--camera-distance", distance), ("--fov", fov)) if value is None]
+    return " and ".join([*missing, *(["--refine-lights or --least-squares"] if other else [])])
 
 
 def _solve(

@@ -42,9 +42,10 @@ def choose_encoding(images: Tensor, lights: Tensor, intensities: Tensor, inside:
     encoded = linear_to_srgb(decoded[..., None] * intensities[:, :, None, None])[..., 0] / intensities[:, :, None]
     srgb, linear = (_error(values, lights, held_out) for values in (decoded, encoded))
     is_linear = linear < CLEARLY * srgb
+    usual = "" if is_linear or linear >= srgb else f", not below {CLEARLY:.0%} of it, so the usual encoding stays"
     text = (
         f"the files do not state an encoding: read as {'linear light' if is_linear else 'sRGB'}; lights left out "
-        f"are predicted with an error of {linear:.3f} as linear light and {srgb:.3f} as sRGB."
+        f"are predicted with an error of {linear:.3f} as linear light and {srgb:.3f} as sRGB{usual}."
     )
     return is_linear, [Finding(text, "encoding-chosen", linear / max(srgb, 1e-9))]
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 from ..core.findings import Finding
@@ -18,7 +19,10 @@ from .object_mask import disc, find_object
 from .photographs import find_ambient, odd_pictures, read_photographs
 from .picture import read_picture
 from .region import Region
+from .srgb import linear_to_srgb
 
+OUTLINE_RED = (1.0, 0.2, 0.2)
+"""RGB of the mask's outline."""
 INSPECTED_SIDE = 900
 """Pixels of the longer side at which photographs are looked at; set by hand, for seconds instead of minutes."""
 
@@ -33,6 +37,8 @@ class Inspection:
         findings: of the readers.
         shown: small pictures of the photographs.
         ball_picture: (3, h, w) the mirror ball as it was found, or None.
+        mask: (1, H, W) bool of the whole photographs, as it was found in them, or None where a file holds it.
+        mask_picture: (3, h, w) the photographs' mean with the outline of the mask.
     """
 
     count: int
@@ -40,6 +46,8 @@ class Inspection:
     findings: tuple[Finding, ...]
     shown: tuple[Thumbnail, ...]
     ball_picture: Tensor | None
+    mask: Tensor | None
+    mask_picture: Tensor
 
 
 def inspect_folder(source: Path, encoding: str = "auto") -> Inspection:
@@ -80,14 +88,27 @@ def inspect_folder(source: Path, encoding: str = "auto") -> Inspection:
         ),
         ("lights", _lights_text(given, ball, region.scale)),
         ("spread of the lights", "unknown" if directions is None else _spread_text(directions)),
-        ("mask", f"{'found' if mask_file is None else mask_file.name}: {covered}"),
+        ("mask", f"{'sought' if mask_file is None else mask_file.name}: {covered}, outlined below"),
         ("light with all lamps off", "none" if ambient is None else f"{ambient.name}, subtracted"),
         ("samples at full scale", clipped),
     )
     odd = odd_pictures(folder, (*given.files, *others))
     shown = small_pictures(read.images, [f.name for f in given.files], directions)
     picture = None if ball is None else ball.picture
-    return Inspection(len(given.files), rows, (*read.findings, *notes, *odd), tuple(shown), picture)
+    found = None if mask_file is not None else F.interpolate(inside[None].float(), size=(height, width))[0] > 0.5
+    findings = (*read.findings, *notes, *odd)
+    outlined = _outline(read.images, inside)
+    return Inspection(len(given.files), rows, findings, tuple(shown), picture, found, outlined)
+
+
+def _outline(images: Tensor, inside: Tensor) -> Tensor:
+    """The mean (3, h, w) of images (K, 3, h, w), brightened, with the edge of the mask drawn over it."""
+    mean = images.float().mean(0)
+    white = mean.flatten()[:: 1 + mean.numel() // 2**20].quantile(0.99).clamp_min(1e-9)
+    shown = linear_to_srgb((mean / white).clamp(0, 1))
+    mask = inside.float()[None]
+    edge = (F.max_pool2d(mask, 5, 1, 2) - mask)[0] > 0
+    return torch.where(edge, shown.new_tensor(OUTLINE_RED).reshape(3, 1, 1), shown)
 
 
 def _lights_text(given: GivenLights, ball: BallLights | None, scale: float) -> str:
@@ -97,7 +118,7 @@ def _lights_text(given: GivenLights, ball: BallLights | None, scale: float) -> s
         return f"from a mirror ball at column {x:.0f}, row {y:.0f}, radius {radius:.0f} pixels"
     if given.directions is not None:
         return f"{len(given.directions)} from a light file"
-    return "no light file and no mirror ball: they will be found from the photographs, which takes a minute"
+    return "no light file and no mirror ball: they will be sought in the photographs, which takes a minute and may fail"
 
 
 def _spread_text(directions: Tensor) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -138,11 +139,17 @@ def _read_rows(file: Path, rows: Sequence[Row]) -> LightList:
     return LightList(names if all(names) else [], _directions(file, last), intensities)
 
 
+_COORDINATES = re.compile(r"\b[xyz][ _]*[\[(]?(mm|cm|m|in)\b", re.IGNORECASE)
+"""The name of a column of positions in a unit."""
+
+
 def _bad_line(file: Path, row: Row, rows: Sequence[Row]) -> FileError:
     """Why a line is not a light."""
     mend = "correct the line"
     if all(len(other.numbers) == 2 for other in rows):
         mend = "write x y z; or, for angles in degrees, 'azimuth elevation' as the first line"
+    elif _COORDINATES.search(row.text):
+        mend = "these are positions: give the file as positions= (--positions)"
     elif "," in row.text and "." not in row.text:
         mend = "separate the numbers by blanks or semicolons, so that their commas are decimal commas"
     return FileError(

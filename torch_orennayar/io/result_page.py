@@ -29,7 +29,12 @@ CONVENTIONS = (
     ("albedo.png", "sRGB; the linear albedo times the exposure below"),
     ("roughness.png", "perceptual roughness of highlights, 0 to 1 (glTF, Unity, Principled BSDF); 1 where matt"),
     ("roughness_sigma.png", "standard deviation of the facets' slope angle (Oren and Nayar's sigma) over 90 degrees"),
-    ("mesh.glb", "relief with textures; metres where the size of a pixel is known, else its longer side is 1"),
+    (
+        "mesh.glb",
+        "relief with textures; metres where a pixel's size is known, else the photographs' longer side is 1",
+    ),
+    ("height.exr, depth.npy", "the same heights, toward the viewer, in pixels or the unit below"),
+    ("mesh.ply", "the relief in that unit, without textures, for measuring"),
 )
 """What the files hold."""
 

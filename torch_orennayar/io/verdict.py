@@ -38,6 +38,8 @@ MUCH_CLIPPED = 1.0
 """Percent of samples at full scale that are worth a look; set by hand."""
 UNSURE, MUCH_UNSURE = 0.5, 0.2
 """Confidence below which a pixel is unsure, and the share of such pixels that is worth a look; set by hand."""
+FEW_PIXELS = 500
+"""Pixels of the object below which a result is worth a look; set by hand: a relief of 22 x 22."""
 
 
 class Verdict(NamedTuple):
@@ -77,6 +79,9 @@ def verdict(report: Sequence[str], maps: ResultMaps) -> Verdict:
     unsure = (maps.confidence[:, inside] < UNSURE).float().mean().item()
     if unsure > MUCH_UNSURE:
         looks.append(f"Confidence is low in {unsure:.0%} of the pixels: see the map of confidence.")
+    pixels = int(inside.sum())
+    if pixels < FEW_PIXELS:
+        looks.append(f"Only {pixels} pixels were solved: use larger photographs, or a larger --scale.")
     if doubts:
         return Verdict("doubtful", "Do not trust this result", tuple(doubts + looks))
     if looks:

@@ -1,0 +1,29 @@
+"""The page of the command line: what every command's ``--help`` says."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+COMMANDS = ("demo", "render", "inspect", "stereo", "shape", "batch", "calibrate", "synthesize", "export", "info")
+"""Commands in the order of `orennayar --help`; a test compares them."""
+COLUMNS = 100
+"""Width of the text in characters."""
+
+
+def write(page: Path) -> None:
+    """Write the page as Markdown."""
+    text = "# Command line\n\nVectors take commas or blanks: `--light 0.3,0.4,0.86` is `--light 0.3 0.4 0.86`.\n"
+    for name in COMMANDS:
+        text += f"\n## orennayar {name}\n\n```text\n{help_of(name)}\n```\n"
+    page.write_text(text, encoding="utf-8")
+
+
+def help_of(*command: str) -> str:
+    """What the command's ``--help`` prints."""
+    plain = {"COLUMNS": str(COLUMNS), "TERM": "dumb", "NO_COLOR": "1", "PYTHONIOENCODING": "utf-8"}
+    run = [sys.executable, "-c", "from torch_orennayar.cli import main; main()", *command, "--help"]
+    shown = subprocess.run(run, capture_output=True, check=True, encoding="utf-8", env={**os.environ, **plain})
+    return shown.stdout.strip()
