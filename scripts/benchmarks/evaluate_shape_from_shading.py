@@ -6,9 +6,10 @@ Sections: `surfaces` are pictures of five analytic surfaces and of the meshes of
 shaded by the V-cavity theory rather than by the models that are fitted, with 1 % noise. `pictures` are real: single
 photographs of DiLiGenT's objects, UW's grey ball and MIT-Berkeley objects from FOLDER (default: $TORCH_ORENNAYAR_DATA),
 each under a light that is known or, for MIT-Berkeley, fitted to the true normals together with the ambient light.
-Beside every result stand a plane, the inflated silhouette, Lambert's and the classic model by the same solver, and
-"vcavity, ambient found", which is not given the ambient light. `steps` gives error and time by optimiser steps,
-`ambient` the error under ambient light, `failures` the error by light and roughness, `sizes` two picture sizes.
+Beside every result stand a plane, the inflated silhouette, the network that the solver starts from, Lambert's and the
+classic model by the same solver, and "vcavity, ambient found", not given the ambient light. `steps` gives error and
+time by optimiser steps, `ambient` the error under ambient light, `failures` the error by light and roughness, `sizes`
+two picture sizes, `counts` the error of 1 to 6 pictures of a surface, by this solver and by photometric stereo.
 What is measured is recorded in results/evaluate_shape_from_shading.json. ``--quick`` takes smaller pictures and fewer
 roughnesses.
 """
@@ -39,12 +40,14 @@ from torch_orennayar.core.progress import track
 from torch_orennayar.geometry.height_field import silhouette_normals
 from torch_orennayar.io.images import read_image
 from torch_orennayar.shape import surface_fit
+from torch_orennayar.shape.picture_network import learned_normals
 
 METHODS = (
-    *("plane", "inflated", "lambert alone", "classic alone", "vcavity alone", "lambert", "classic", "vcavity"),
-    "vcavity, ambient found",
+    *("plane", "inflated", "network", "lambert alone", "classic alone", "vcavity alone", "vcavity, silhouette"),
+    *("vcavity", "vcavity, ambient found"),
 )
-"""Solvers called alone trust the picture everywhere (``silhouette=0``); the others fall back on the silhouette."""
+"""Solvers called alone trust the picture everywhere (``silhouette=0``); "vcavity, silhouette" starts from the inflated
+silhouette and falls back on it, the others on the normals of the network, which stands for itself too."""
 ALBEDO = 0.8
 """Albedo of the analytic surfaces and meshes."""
 AMBIENT = 0.1
@@ -76,12 +79,14 @@ def solve(case: Case, method: str) -> Tensor:
         return torch.tensor((0.0, 0.0, 1.0)).reshape(3, 1, 1) * mask
     if method == "inflated":
         return silhouette_normals(case.mask)
-    name = method.split()[0].rstrip(",")
+    if method == "network":
+        return learned_normals(case.image, case.light.reshape(3, 1, 1), case.mask).normal
+    name, alone = method.split()[0].rstrip(","), method.endswith("alone")
     model = {"classic": "qualitative"}.get(name, name)
     found = shape_from_shading(
         case.image, case.light, case.mask, albedo=case.albedo, roughness=case.roughness, model=model,
         ambient=None if method.endswith("found") else case.ambient, contour=case.contour,
-        silhouette=0.0 if method.endswith("alone") else 0.1,
+        silhouette=0.0 if alone else 0.1, prior="silhouette" if alone or method.endswith("silhouette") else "learned",
     )  # fmt: skip
     return found.normal
 
@@ -232,6 +237,46 @@ def sizes() -> Rows:
     return rows
 
 
+COUNTS = (1, 2, 3, 4, 6)
+"""Pictures of one surface that are compared."""
+AZIMUTHS = (40.0, 160.0, 280.0, 100.0, 220.0, 340.0)
+"""Degrees; of the lights of the first pictures, which lie 30 degrees off the view."""
+
+
+def by_count(data: Path) -> dict[str, Rows]:
+    """Mean error by number of pictures, of shape from shading and of photometric stereo, by object."""
+    captures: dict[str, tuple[Tensor, Tensor, Tensor, Tensor, float | None, float]] = {}
+    sigma, lights = math.radians(30), torch.stack([light_at(30, azimuth) for azimuth in AZIMUTHS])
+    fields = [height_fields.make("bumpy ellipsoid", 128)]
+    fields += [height_fields.from_mesh(data / "meshes" / f"{name}.obj", 128) for name in ("spot", "stanford-bunny")]
+    for field in fields:
+        images = torch.stack([photograph(field, light, sigma, albedo=ALBEDO, seed=k) for k, light in enumerate(lights)])
+        captures[f"{field.name}, 30 degrees"] = (images, lights, field.mask, field.normal, ALBEDO, sigma)
+    for name in ("ball", "cat", "reading"):
+        capture = load_capture(data / "diligent" / f"{name}PNG")
+        assert capture.normal is not None
+        chosen = [int((capture.lights @ light).argmax()) for light in lights]
+        images = capture.images[chosen].mean(1, keepdim=True)
+        captures[f"DiLiGenT {name}"] = (images, capture.lights[chosen], capture.mask, capture.normal, None, 0.0)
+    rows: dict[str, Rows] = {}
+    for title, (images, directions, mask, normal, albedo, roughness) in captures.items():
+        rows[title] = {}
+        for count in COUNTS:
+            few, toward = images[:count], directions[:count]
+            found = {
+                "shape from shading": shape_from_shading(
+                    few[None], toward[None], mask[None], albedo=albedo, roughness=roughness
+                ).normal[0]
+            }
+            if count >= 3:
+                found["photometric stereo"] = photometric_stereo(few, toward, mask, model="lambert").normal
+            rows[title][str(count)] = {
+                name: angular_error(n, normal.float(), mask).summary()["mean"] for name, n in found.items()
+            }
+        print(title, {k: {m: round(e, 2) for m, e in v.items()} for k, v in rows[title].items()}, flush=True)
+    return rows
+
+
 def measure_all(title: str, cases: list[Case]) -> dict[str, Rows]:
     """Median and mean error and seconds by case and method; printed."""
     results = {c.name: measure(c) for c in track(cases, title, len(cases))}
@@ -246,7 +291,7 @@ def measure_all(title: str, cases: list[Case]) -> dict[str, Rows]:
 def main() -> None:
     """Measure, print and record."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    sections = ("surfaces", "pictures", "steps", "ambient", "failures", "sizes")
+    sections = ("surfaces", "pictures", "steps", "ambient", "failures", "sizes", "counts")
     parser.add_argument("--data", type=Path, default=Path(os.environ.get("TORCH_ORENNAYAR_DATA", "none")))
     parser.add_argument("--sections", nargs="+", choices=sections, default=sections)
     parser.add_argument("--quick", action="store_true", help="smaller pictures, fewer roughnesses")
@@ -259,9 +304,10 @@ def main() -> None:
         "ambient": lambda: under_ambient(size),
         "failures": lambda: failures(quick),
         "sizes": sizes,
+        "counts": lambda: by_count(options.data),
     }
     for title in options.sections:
-        if title == "pictures" and not (options.data / "diligent").is_dir():
+        if title in ("pictures", "counts") and not (options.data / "diligent").is_dir():
             continue
         found = work[title]()
         if title not in ("surfaces", "pictures"):

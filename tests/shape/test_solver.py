@@ -133,6 +133,26 @@ def test_result_is_the_same_again_and_in_a_batch(bumpy: Field) -> None:
 
 
 @pytest.mark.slow
+def test_more_pictures_tell_more(bumpy: Field) -> None:
+    """One, two and three lights about the view; one picture as the first of several is one picture."""
+    lights = torch.stack([light_at(30, azimuth) for azimuth in (40, 160, 280)])
+    images = torch.stack([photograph(bumpy, light, 0.5, seed=k) for k, light in enumerate(lights)])[..., ::2, ::2]
+    half = Field("half", bumpy.height[:, ::2, ::2], bumpy.normal[:, ::2, ::2], bumpy.mask[:, ::2, ::2], True)
+    found = []
+    for count in (1, 2, 3):
+        few = images[None, :count], lights[None, :count], half.mask[None]
+        several = shape_from_shading(*few, albedo=0.8, roughness=0.5)
+        found.append(errors(replace(several, normal=several.normal[0]), half)["mean"])
+        assert several.residual.shape == (1, *half.mask.shape)
+    assert found[1] < 0.7 * found[0]
+    assert found[2] < found[1]
+    alone = shape_from_shading(images[0], lights[0], half.mask, albedo=0.8, roughness=0.5)
+    first = shape_from_shading(images[None, :1], lights[None, :1], half.mask[None], albedo=0.8, roughness=0.5)
+    assert torch.equal(first.normal[0], alone.normal)
+    assert torch.equal(first.confidence[0], alone.confidence)
+
+
+@pytest.mark.slow
 def test_frontal_light_is_reported(bumpy: Field) -> None:
     frontal = torch.tensor((0.0, 0.0, 1.0))
     image = photograph(bumpy, frontal, 0.5)
@@ -302,6 +322,8 @@ def test_tiny_images(size: tuple[int, int]) -> None:
         ({"light": torch.tensor((0.0, 0.6, -0.8))}, RangeError, "swap_opencv_frame"),
         ({"image": torch.full((1, 4, 4), torch.nan)}, RangeError, "image"),
         ({"image": torch.zeros(1, 4, 4)}, CaptureError, "exposure"),
+        ({"image": torch.rand(1, 2, 1, 4, 4) + 0.1}, ShapeError, "batch"),
+        ({"image": torch.rand(1, 2, 1, 4, 4) + 0.1, "light": LIGHT[None, None]}, ShapeError, r"light.*\(2, 3\)"),
         ({"mask": torch.zeros(1, 4, 4, dtype=torch.bool)}, CaptureError, "mask"),
         ({"mask": torch.ones(1, 4, 4)}, ShapeError, "mask"),
         ({"roughness": 30.0}, RangeError, "roughness"),
@@ -311,6 +333,7 @@ def test_tiny_images(size: tuple[int, int]) -> None:
         ({"ambient": torch.rand(4, 4)}, ShapeError, "ambient"),
         ({"albedo": torch.rand(2, 4, 4)}, ShapeError, "albedo"),
         ({"depth": torch.full((1, 4, 4), torch.nan)}, RangeError, "depth"),
+        ({"prior": "learnt"}, RangeError, "silhouette"),
     ],
 )
 def test_bad_input(change: dict[str, object], error: type[Exception], words: str) -> None:
@@ -327,6 +350,11 @@ def test_a_picture_that_is_not_understood_falls_back_on_the_silhouette() -> None
     row, column = torch.meshgrid(torch.arange(96), torch.arange(96), indexing="ij")
     painted = image * (1 - 0.6 * ((row // 12 + column // 12) % 2))
     found = shape_from_shading(painted, light, field.mask, albedo=None, roughness=0.0)
+    assert "outline-trusted" in codes(found)
+    assert "network-start" in codes(shape_from_shading(image, light, field.mask, albedo=0.8, roughness=0.0))
+    assert "network-start" not in codes(
+        shape_from_shading(image, light, field.mask, albedo=0.8, roughness=0.0, prior="silhouette")
+    )
     assert angular_error(found.normal, field.normal.float(), field.mask).summary()["mean"] < 8
 
 

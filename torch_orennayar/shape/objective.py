@@ -110,15 +110,15 @@ class Reflectance:
 
 
 def shade(scene: PictureScene, reflectance: Reflectance, normal: Tensor, model: str) -> Tensor:
-    """The picture (C, H, W) that normals (3, H, W) give; ambient light is reflected as by a matt surface."""
+    """The pictures (K, C, H, W) that normals (3, H, W) give; ambient light is reflected as by a matt surface."""
     albedo = reflectance.albedo
-    inputs = ShadingInputs(normal, scene.light, scene.view, albedo, reflectance.roughness)
+    inputs = ShadingInputs(normal[None], scene.light, scene.view[None], albedo[None], reflectance.roughness[None])
     return tiled.shade(get_model(model), inputs, -3, normal.dtype) + albedo * reflectance.ambient
 
 
 def lit_pixels(scene: PictureScene, reflectance: Reflectance) -> Tensor:
-    """Pixels to whose brightness the light itself contributes, (1, H, W) bool."""
-    direct = (scene.image - reflectance.albedo * reflectance.ambient).mean(0, keepdim=True)
+    """Pixels to whose brightness the light itself contributes, (K, 1, H, W) bool."""
+    direct = (scene.image - reflectance.albedo * reflectance.ambient).mean(1, keepdim=True)
     return (direct >= LIT_SHARE * scene.peak) & (scene.mask > 0)
 
 
@@ -163,24 +163,24 @@ class Objective:
         )
 
     def residual(self, parameters: FitParameters, normal: Tensor) -> Tensor:
-        """Squared difference from the picture (1, H, W) in units of its peak, robust (Geman-McClure)."""
+        """Squared difference from the pictures (1, H, W) in units of their peak, robust (Geman-McClure), summed."""
         scene = self.scene
         reflectance = Reflectance.of(scene, parameters, self.settings)
         difference = (shade(scene, reflectance, normal, self.settings.model) - scene.image) / scene.peak
-        squared = difference.square().mean(0, keepdim=True) * scene.mask
-        return squared / (1 + squared / OUTLIER_SCALE**2)
+        squared = difference.square().mean(1, keepdim=True) * scene.mask
+        return (squared / (1 + squared / OUTLIER_SCALE**2)).sum(0)
 
-    def cost(self, parameters: FitParameters, silhouette_weight: float) -> Tensor:
+    def cost(self, parameters: FitParameters, prior_weight: Tensor | None) -> Tensor:
         """Sum over pixels of the residual and all priors.
 
-        ``silhouette_weight`` is that of the inflated silhouette's normals: see `surface_fit.fit`.
+        ``prior_weight``, of any shape that fits (1, H, W), is that of the normals to expect: see `surface_fit.fit`.
         """
         scene = self.scene
         normal = normals(parameters.height, scene.corner_rays, scene.pixel_angle)
         total = self.residual(parameters, normal).sum()
-        if scene.silhouette_normal is not None and silhouette_weight:
-            difference = (normal - scene.silhouette_normal).square() * scene.mask
-            total = total + silhouette_weight * difference.sum()
+        if scene.prior is not None and prior_weight is not None:
+            difference = (normal - scene.prior.normal).square() * scene.mask
+            total = total + (prior_weight * difference).sum()
         total = total + self.settings.smoothness * self._bending(normal)
         total = total + TWIST_WEIGHT * self._twist(parameters.height, normal)
         total = total + CONTOUR_WEIGHT * self._turned_from_outward(normal)
@@ -212,7 +212,7 @@ class Objective:
     def _turned_from_light(self, parameters: FitParameters, normal: Tensor) -> Tensor:
         """How far the normals of bright pixels lie beyond the terminator."""
         scene = self.scene
-        away = -(normal * scene.light).sum(0, keepdim=True)
+        away = -(normal * scene.light).sum(1, keepdim=True)
         lit = self.lit
         if lit is None:
             lit = lit_pixels(scene, Reflectance.of(scene, parameters, self.settings))

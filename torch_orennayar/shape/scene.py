@@ -1,4 +1,4 @@
-"""One picture and what is known about it: inputs, their checks, and the scene that a surface is fitted to."""
+"""Pictures of one surface and what is known about it: inputs, their checks, and the scene that is fitted."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ Known = float | Tensor | None
 
 @dataclass(frozen=True)
 class Picture:
-    """The caller's inputs, with the shapes that `shape_from_shading` documents."""
+    """The caller's inputs for one surface, with the shapes that `shape_from_shading` documents, or a batch of them."""
 
     image: Tensor
     light: Tensor
@@ -49,7 +49,7 @@ class Picture:
     known: Tensor | None
 
     def split(self) -> list[Picture]:
-        """The pictures of a batch: tensors are indexed along their first axis, numbers are shared.
+        """The surfaces of a batch: tensors are indexed along their first axis, numbers are shared.
 
         Raises:
             ShapeError: an empty batch, or a tensor of another batch size.
@@ -64,23 +64,29 @@ class Picture:
                 raise ShapeError(name, expected=f"{count} in a batch", got=got, mend="stack one per image")
         return [replace(self, **{name: value[b] for name, value in batched.items()}) for b in range(count)]
 
+    def as_several(self) -> Picture:
+        """One picture (C, H, W) under its light as the first of several, (1, C, H, W)."""
+        return replace(self, image=self.image[None], light=self.light[None]) if self.image.ndim == 3 else self
+
     def check(self) -> Tensor:
-        """Check shapes and values of one picture; returns its mask, (1, H, W) bool."""
+        """Check shapes and values of pictures (K, C, H, W) of one surface; returns their mask, (1, H, W) bool."""
         image, light = self.image, self.light
-        if image.ndim != 3 or 0 in image.shape:
+        if image.ndim != 4 or 0 in image.shape:
             got = str(tuple(image.shape))
-            raise ShapeError("image", expected="(C, H, W)", got=got, mend="one image, or a batch of them")
-        size = tuple(image.shape[1:])
-        if tuple(light.shape) not in ((3,), (3, *size)):
-            raise ShapeError("light", expected=f"(3,) or {(3, *size)}", got=str(tuple(light.shape)), mend="one light")
-        check_unit("light", light, 0, gaps=light.ndim > 1)
+            raise ShapeError("image", expected="(C, H, W) or (K, C, H, W)", got=got, mend="one image, or a batch")
+        size, count = tuple(image.shape[2:]), len(image)
+        if tuple(light.shape) not in ((count, 3), (count, 3, *size)):
+            wanted = "(3,) or " + str((3, *size)) if count == 1 else f"{(count, 3)} or {(count, 3, *size)}"
+            got = str(tuple(light.shape[1:] if count == 1 else light.shape))
+            raise ShapeError("light", expected=wanted, got=got, mend="one light per picture")
+        check_unit("light", light, 1, gaps=light.ndim > 2)
         inside = check_mask(self.mask, image)
         for name, depth in (("depth", self.depth), ("known", self.known)):
             if depth is not None and tuple(depth.shape) != (1, *size):
                 got = str(tuple(depth.shape))
                 raise ShapeError(name, expected=str((1, *size)), got=got, mend="of the image's size")
         for name, value in (("image", image), ("depth", self.depth)):
-            if value is not None and not bool(value[:, inside[0]].isfinite().all()):
+            if value is not None and not bool(value[..., inside[0]].isfinite().all()):
                 expected = "finite values inside the mask"
                 raise RangeError(name, expected=expected, got="NaN or infinity", mend="shrink mask")
         return inside
@@ -107,10 +113,10 @@ class Window:
         return Window(window[0], window[1], (inside.shape[1], inside.shape[2]))
 
     def crop(self, values: Tensor, more: int = 0) -> Tensor:
-        """The window's part of a map (C, H, W); ``more`` is 1 for maps of corners. (C, 1, 1) holds everywhere."""
-        if values.shape[1:] == (1, 1):
+        """The window's part of a map (..., H, W); ``more`` is 1 for maps of corners. (..., 1, 1) holds everywhere."""
+        if values.shape[-2:] == (1, 1):
             return values
-        return values[:, self.rows.start : self.rows.stop + more, self.columns.start : self.columns.stop + more]
+        return values[..., self.rows.start : self.rows.stop + more, self.columns.start : self.columns.stop + more]
 
     def paste(self, values: Tensor) -> Tensor:
         """Values of the window (C, h, w) in a map of the whole picture, (C, H, W), 0 elsewhere."""
@@ -120,14 +126,27 @@ class Window:
 
 
 @dataclass(frozen=True)
-class PictureScene:
-    """The window of one picture at one resolution, with what is known of it: all that the cost of a surface depends on.
+class Prior:
+    """Normals to expect before the shading is looked at closely.
 
     Attributes:
-        image: (C, H, W) linear light; 0 outside the mask.
-        peak: brightness of the picture's bright end, in the image's unit.
+        normal: (3, H, W) unit.
+        error: (1, H, W) radians, how far they are expected to err; None of the inflated silhouette, which does not say.
+    """
+
+    normal: Tensor
+    error: Tensor | None
+
+
+@dataclass(frozen=True)
+class PictureScene:
+    """The window of pictures at one resolution, with what is known of it: all that the cost of a surface depends on.
+
+    Attributes:
+        image: (K, C, H, W) linear light; 0 outside the mask.
+        peak: brightness of the pictures' bright end, in the image's unit.
         mask: (1, H, W), 0 or 1.
-        light: (3, 1, 1) or (3, H, W) unit directions.
+        light: (K, 3, 1, 1) or (K, 3, H, W) unit directions.
         view: (3, 1, 1) or (3, H, W) unit directions.
         corner_rays: (3, H + 1, W + 1) viewing rays through the corners at depth 1; None for parallel rays.
         albedo: (1 or C, 1, 1) or maps; where it is estimated, the start.
@@ -135,8 +154,8 @@ class PictureScene:
         ambient: (1, 1, 1) or (1, H, W), share of the light's irradiance; where it is estimated, the start.
         known_height: (1, H, W) heights, NaN where unknown.
         pixel_angle: radians; 1 for parallel rays.
-        silhouette_normal: (3, H, W) normals of the inflated silhouette; None where the mask's edge says nothing.
-        noise_variance: of the picture, in units of ``peak`` squared.
+        prior: normals to expect; None where nothing is known of them.
+        noise_variance: of the pictures, in units of ``peak`` squared.
     """
 
     image: Tensor
@@ -150,7 +169,7 @@ class PictureScene:
     ambient: Tensor
     known_height: Tensor
     pixel_angle: float
-    silhouette_normal: Tensor | None
+    prior: Prior | None
     noise_variance: float
 
     @property
@@ -169,12 +188,15 @@ class PictureScene:
         count = _halve(is_known.to(self.image))
         height = _halve(self.known_height.nan_to_num(0)) / count.clamp_min(MIN_SHARE) / 2
         rays = self.corner_rays
-        normal = self.silhouette_normal
+        prior = self.prior
+        if prior is not None:
+            error = None if prior.error is None else mean(prior.error)
+            prior = Prior(F.normalize(mean(prior.normal), dim=0), error)
         return replace(
             self,
             image=mean(self.image),
             mask=(share >= COARSE_MASK_SHARE).to(self.image),
-            light=F.normalize(mean(self.light), dim=0),
+            light=F.normalize(mean(self.light), dim=1),
             view=F.normalize(mean(self.view), dim=0),
             corner_rays=None if rays is None else resize(rays, (share.shape[1] + 1, share.shape[2] + 1)),
             albedo=mean(self.albedo),
@@ -182,22 +204,22 @@ class PictureScene:
             ambient=mean(self.ambient),
             known_height=torch.where(count > 0, height, torch.nan),
             pixel_angle=self.pixel_angle * (1 if rays is None else 2),
-            silhouette_normal=None if normal is None else F.normalize(mean(normal), dim=0),
+            prior=prior,
             noise_variance=self.noise_variance / 4,
         )
 
 
 def build_scene(
-    picture: Picture, inside: Tensor, window: Window, camera: Camera | None, silhouette_normal: Tensor | None
+    picture: Picture, inside: Tensor, window: Window, camera: Camera | None, prior: Prior | None
 ) -> PictureScene:
-    """The scene of a checked picture, in working precision and in its window; 0 outside the mask.
+    """The scene of checked pictures, in working precision and in their window; 0 outside the mask.
 
     Args:
-        picture: the inputs.
+        picture: the inputs, pictures (K, C, H, W).
         inside: (1, H, W) bool mask.
         window: the part to solve.
         camera: None for parallel rays and heights in pixels.
-        silhouette_normal: (3, h, w) in the window, or None.
+        prior: normals to expect, in the window, or None.
 
     Raises:
         CaptureError: the picture holds no light.
@@ -205,25 +227,25 @@ def build_scene(
         RangeError: albedo, roughness or ambient light out of range, or more ambient light than the picture holds.
     """
     image = torch.where(inside, picture.image, 0).to(working_dtype(picture.image))
-    peak = _peak(image, inside)
+    peak = peak_brightness(image, inside)
     ambient = _map("ambient", picture.ambient, START_AMBIENT, image, inside)
     albedo = _map("albedo", picture.albedo, peak, image, inside)
     given = picture.albedo is not None and picture.ambient is not None
-    if given and not bool((image > albedo * ambient)[:, inside[0]].any()):
+    if given and not bool((image > albedo * ambient)[..., inside[0]].any()):
         raise RangeError("ambient", expected="less light than in the picture", got="more", mend="0.1 is a tenth")
     light = picture.light.to(image)
     view, rays, pixel_angle = image.new_tensor((0.0, 0.0, 1.0)).reshape(3, 1, 1), None, 1.0
     if camera is not None and camera.is_perspective:
         view = camera.view_directions(window.size)[0].to(image)
         rays, pixel_angle = corner_rays(camera, window.size).to(image), pixel_size(camera, window.size)
-    known_height = torch.full_like(image[:1], torch.nan)
+    known_height = torch.full_like(image[0, :1], torch.nan)
     if picture.known is not None:
         known_height = depth_to_height(picture.known.to(image), camera, window.size)
     return PictureScene(
         image=window.crop(image),
         peak=peak,
         mask=window.crop(inside.to(image)),
-        light=light.reshape(3, 1, 1) if light.ndim == 1 else window.crop(torch.where(inside, light, 0)),
+        light=light[:, :, None, None] if light.ndim == 2 else window.crop(torch.where(inside, light, 0)),
         view=window.crop(view),
         corner_rays=None if rays is None else window.crop(rays, 1),
         albedo=window.crop(albedo),
@@ -231,7 +253,7 @@ def build_scene(
         ambient=window.crop(ambient),
         known_height=window.crop(torch.where(inside, known_height, torch.nan)),
         pixel_angle=pixel_angle,
-        silhouette_normal=silhouette_normal,
+        prior=prior,
         noise_variance=_noise_variance(image / peak, inside),
     )
 
@@ -251,10 +273,10 @@ _RANGES = {
 
 def _map(name: str, value: Known, start: float, image: Tensor, inside: Tensor) -> Tensor:
     """A number as (1, 1, 1), a map as it is, 0 outside the mask; ``start`` for what is to be estimated."""
-    size = tuple(image.shape[1:])
+    size = tuple(image.shape[2:])
     tensor = torch.as_tensor(start if value is None else value).to(image)
     tensor = tensor.reshape(1, 1, 1) if tensor.ndim == 0 else tensor
-    channels = (1, len(image)) if name == "albedo" else (1,)
+    channels = (1, image.shape[1]) if name == "albedo" else (1,)
     if tensor.ndim != 3 or tensor.shape[0] not in channels or tuple(tensor.shape[1:]) not in ((1, 1), size):
         expected, got = f"a number or {(channels[-1], *size)}", str(tuple(tensor.shape))
         raise ShapeError(name, expected=expected, got=got, mend="one number for all, or one per pixel")
@@ -264,10 +286,10 @@ def _map(name: str, value: Known, start: float, image: Tensor, inside: Tensor) -
     return tensor
 
 
-def _peak(image: Tensor, inside: Tensor) -> float:
+def peak_brightness(image: Tensor, inside: Tensor) -> float:
     """Brightness of the picture's bright end."""
-    if inside.sum() < QUANTILE_LIMIT:
-        peak = float(image[:, inside[0]].flatten().quantile(BRIGHT_QUANTILE))
+    if len(image) * inside.sum() < QUANTILE_LIMIT:
+        peak = float(image[..., inside[0]].flatten().quantile(BRIGHT_QUANTILE))
     else:
         peak = float(image.max())
     if peak <= 0:
@@ -276,12 +298,12 @@ def _peak(image: Tensor, inside: Tensor) -> float:
 
 
 def _noise_variance(image: Tensor, inside: Tensor) -> float:
-    """Variance of a picture's noise, from second differences in both directions, which smooth shading lacks.
+    """Variance of the noise of pictures (K, C, H, W), from second differences, which smooth shading lacks.
 
     Source: Immerkaer 1996, "Fast noise variance estimation", with the median in place of the mean.
     """
     kernel = image.new_tensor([[1.0, -2, 1], [-2, 4, -2], [1, -2, 1]]).reshape(1, 1, 3, 3) / 6
-    difference = F.conv2d(image[:, None], kernel, padding=1)[:, 0].abs()
+    difference = F.conv2d(image.flatten(0, 1)[:, None], kernel, padding=1)[:, 0].abs()
     interior = -F.max_pool2d(-F.pad(inside.to(image), (1, 1, 1, 1)), 3, 1) > 0
     if not bool(interior.any()):
         return 0.0

@@ -1,10 +1,11 @@
-"""Shape from shading: depth and normals from one picture of a rough surface under a known light."""
+"""Shape from shading: depth and normals from one picture, or few, of a rough surface under known lights."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Literal
 
 import torch
 from torch import Tensor
@@ -20,8 +21,9 @@ from ..reconstruction import Reconstruction, confidence_from_error, stack
 from ..reflectance.model_choice import simplest_model
 from ..reflectance.models import get_model
 from .objective import MAX_ROUGHNESS, FitParameters, FitSettings, Reflectance, lit_pixels, shade
-from .scene import MIN_SHARE, Picture, PictureScene, Window, build_scene, working_dtype
-from .surface_fit import coarse_to_fine, fit
+from .prior import with_learned_prior
+from .scene import MIN_SHARE, Picture, PictureScene, Prior, Window, build_scene, working_dtype
+from .surface_fit import coarse_to_fine, fit, follow_prior
 
 FRONTAL = math.radians(10)
 """Radians; a light nearer to the view than this shows dents and bumps alike. Set by hand."""
@@ -31,6 +33,8 @@ MODEL_TOLERANCE = 0.01
 """RMS error of shading over albedo that the automatically chosen model may have: about the noise of a picture."""
 MIN_RESIDUAL = 0.01
 """Share of the picture's peak; least error of brightness that the confidence assumes. Set by hand, about the noise."""
+TINY_CERTAINTY = 1e-18
+"""Per squared radian; least certainty of a normal, only keeps 1 / 0 away."""
 CORNER_SHARE = 1e-3
 """Share of a corner's four pixels inside the mask from which the caller's depth sets its height; only excludes 0."""
 
@@ -51,26 +55,31 @@ def shape_from_shading(
     depth: Tensor | None = None,
     known: Tensor | None = None,
     smoothness: float = 0.05,
+    prior: Literal["learned", "silhouette"] = "learned",
     silhouette: float = 0.1,
 ) -> Reconstruction:
-    """Find the surface whose shading is the picture, under one known light.
+    """Find the surface whose shading is the picture under one known light, or the pictures under a few.
 
     The unknown is depth, so the surface is integrable; the shading layer itself shades it, and L-BFGS minimises the
     difference from the picture from coarse to fine. The priors are mild: neighbouring normals are similar
     (``smoothness``); with ``contour`` the mask's edge is an occluding contour, where the surface turns away from the
     viewer and normals point outward; pixels whose brightness no surface explains (cast shadows, highlights) count less.
-    Where a whole picture stays unexplained (texture, light from the surroundings) the normals of the inflated
-    silhouette, `silhouette_normals`, count more (``silhouette``). The search starts from the inflated silhouette;
-    without a contour from a plane, and then the mean normal is drawn to the view; from ``depth`` it starts at full
-    resolution.
+    With a contour the search starts from normals that a small network reads in picture and mask (``prior``), each with
+    the error that it expects; the less the picture is explained (paint, light from the surroundings, parts that hide
+    each other), and the more its surface differs from them beyond that error, the more they count. Without a contour it
+    starts from a plane, and then the mean normal is drawn to the view; from ``depth`` it starts at full resolution.
+
+    From three pictures on `photometric_stereo` needs no contour and no even albedo; see the guide for which is better.
 
     What one picture does not determine is reported: a light near the view shows dents and bumps alike; estimated
     albedo, roughness and ambient light trade against slope and against each other; without a contour or known depths
     nothing determines which way a symmetric surface bulges. Not differentiable.
 
     Args:
-        image: (C, H, W) or (B, C, H, W) linear light, divided by the light's irradiance.
-        light: (3,) or (B, 3) unit direction to a distant light; of a near one a map, (3, H, W) or (B, 3, H, W).
+        image: (C, H, W) or (B, C, H, W) linear light, divided by the light's irradiance; K pictures of each surface as
+            (B, K, C, H, W).
+        light: (3,) or (B, 3) unit direction to a distant light; of a near one a map, (3, H, W) or (B, 3, H, W). Of K
+            pictures (B, K, 3) or (B, K, 3, H, W).
         mask: (1, H, W) or (B, 1, H, W) bool; default all pixels.
         albedo: number or map (1 or C, H, W), with B in front for batches; None to estimate one number.
         roughness: radians, number or map (1, H, W), with B in front for batches; None to estimate one number.
@@ -85,8 +94,10 @@ def shape_from_shading(
         known: of the same shape, depths that are known at some pixels, NaN elsewhere. In perspective they set the
             scale.
         smoothness: weight of squared differences of neighbouring normals against squared brightness.
-        silhouette: weight of the inflated silhouette's normals in a picture that the model does not explain at all; 0
-            uses the picture alone.
+        prior: normals to start from and to fall back on: those that a network reads in the picture and its mask, each
+            with the error that it expects, or those of the inflated silhouette.
+        silhouette: weight of these normals in a picture that the model does not explain at all; 0 uses the picture
+            alone.
 
     Returns:
         A `Reconstruction` with depth, or of a batch a `BatchReconstruction`. Depth is without a camera the height
@@ -97,8 +108,8 @@ def shape_from_shading(
 
     Raises:
         ShapeError: shapes do not fit together.
-        RangeError: NaN inside the mask, a light that is no unit vector or behind the surface, albedo, roughness or
-            ambient light out of range.
+        RangeError: an unknown prior, NaN inside the mask, a light that is no unit vector or behind the surface, albedo,
+            roughness or ambient light out of range.
         CaptureError: an empty mask, or no light in the picture.
         ModelError: unknown model.
 
@@ -120,25 +131,37 @@ def shape_from_shading(
         True
     """
     check_floating(image=image, light=light)
+    if prior not in ("learned", "silhouette"):
+        raise RangeError("prior", expected="'learned' or 'silhouette'", got=repr(prior), mend="choose one")
     if model != "auto":
         get_model(model)
     picture = Picture(image, light, mask, albedo, roughness, ambient, depth, known)
-    if image.ndim == 4:
+    if image.ndim > 3:
         each = picture.split()
-        return stack([_solve(one, camera, model, contour, smoothness, silhouette) for one in each])
-    return _solve(picture, camera, model, contour, smoothness, silhouette)
+        return stack([_solve(one, camera, model, contour, smoothness, prior, silhouette) for one in each])
+    return _solve(picture, camera, model, contour, smoothness, prior, silhouette)
 
 
 def _solve(
-    picture: Picture, camera: Camera | None, model: str, contour: bool, smoothness: float, silhouette: float
+    picture: Picture,
+    camera: Camera | None,
+    model: str,
+    contour: bool,
+    smoothness: float,
+    prior: str,
+    silhouette: float,
 ) -> Reconstruction:
-    """`shape_from_shading` of one picture."""
+    """`shape_from_shading` of one surface."""
+    picture = picture.as_several()
     inside = picture.check()
     window = Window.around(inside)
     mask = window.crop(inside.to(working_dtype(picture.image)))
     inflated = contour and picture.depth is None
     height = _start_height(picture.depth, mask, window, camera, contour)
-    scene = build_scene(picture, inside, window, camera, normals(height, None, 1.0) if inflated else None)
+    scene = build_scene(picture, inside, window, camera, Prior(normals(height, None, 1.0), None) if inflated else None)
+    about_prior: list[Finding] = []
+    if inflated and prior == "learned":
+        scene, about_prior = with_learned_prior(scene, albedo_unknown=picture.albedo is None)
     findings = []
     if model == "auto":
         model, finding = _choose_model(scene, picture)
@@ -152,9 +175,11 @@ def _solve(
         estimate_roughness=picture.roughness is None,
         estimate_ambient=picture.ambient is None,
     )
-    findings += _check_light(scene)
+    findings += _check_light(scene) + about_prior
     start = FitParameters.starting_at(scene, height)
     levels = coarse_to_fine(scene) if picture.depth is None else [scene]
+    if scene.prior is not None and scene.prior.error is not None:
+        start = follow_prior(levels[0], start, settings)
     if inflated:
         start, ambiguous = _choose_side(levels[0], start, settings)
         findings += ambiguous
@@ -203,7 +228,8 @@ def _choose_side(
 
 def _check_light(scene: PictureScene) -> list[Finding]:
     """Refuse a light from behind, warn of one near the view."""
-    facing = float((scene.light * scene.view).sum(0).expand_as(scene.mask)[scene.mask > 0].mean())
+    cosine = (scene.light * scene.view).sum(1, keepdim=True)
+    facing = min(float(one.expand_as(scene.mask)[scene.mask > 0].mean()) for one in cosine)
     if facing <= 0:
         raise RangeError(
             "light",
@@ -234,7 +260,7 @@ def _result(
     height = to_centers(found.height)
     if not bool(scene.known_height.isfinite().any()):
         height = height - height[inside].mean()
-    dark = int((inside & ~lit_pixels(scene, reflectance)).sum())
+    dark = int((inside & ~lit_pixels(scene, reflectance).any(0)).sum())
 
     def whole(values: Tensor) -> Tensor:
         return window.paste(torch.where(inside, values, 0))
@@ -260,12 +286,15 @@ def _brightness_and_normal_error(
     """Mean absolute residual of a pixel, and the error of its normal toward the light that it means; (1, H, W) each."""
     with torch.enable_grad():
         normal = normal.detach().requires_grad_()
-        shaded = shade(scene, reflectance, normal, model)
-        (gradient,) = torch.autograd.grad(shaded.mean(0).sum(), normal)
+        shaded = shade(scene, reflectance, normal, model).mean(1)
+        gradients = [torch.autograd.grad(one.sum(), normal, retain_graph=True)[0] for one in shaded]
     normal = normal.detach()
-    difference = (shaded.detach() - scene.image).abs().mean(0, keepdim=True)
-    slope = (gradient - (gradient * normal).sum(0, keepdim=True) * normal).norm(dim=0, keepdim=True)  # on the sphere
-    return difference, (difference.square() + (MIN_RESIDUAL * scene.peak) ** 2).sqrt() / slope.clamp_min(1e-9)
+    difference = (shade(scene, reflectance, normal, model) - scene.image).abs().mean(1)
+    certainty = torch.zeros_like(scene.mask)
+    for missed, gradient in zip(difference, gradients, strict=True):
+        slope = gradient - (gradient * normal).sum(0, keepdim=True) * normal  # on the sphere
+        certainty += slope.square().sum(0, keepdim=True) / (missed.square() + (MIN_RESIDUAL * scene.peak) ** 2)
+    return difference.mean(0, keepdim=True), certainty.clamp_min(TINY_CERTAINTY).rsqrt()
 
 
 def _doubts(reflectance: Reflectance, settings: FitSettings, dark: int) -> list[Finding]:

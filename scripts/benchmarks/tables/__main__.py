@@ -52,6 +52,7 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "shape steps": shape.steps,
     "shape sizes": shape.sizes,
     "shape failures": shape.failures,
+    "shape counts": shape.counts,
     "models": shading.models,
     "model errors": shading.model_errors,
     "model properties": shading.properties,

@@ -58,7 +58,7 @@ def _errors(results: Mapping[str, Any], methods: Sequence[str], mean_title: str)
 def surfaces() -> str:
     """Error on analytic surfaces and meshes."""
     section = load_section(SHAPE, "surfaces")
-    methods = ("inflated", "lambert alone", "classic alone", "vcavity alone", "vcavity")
+    methods = ("inflated", "network", "lambert alone", "vcavity alone", "vcavity, silhouette", "vcavity")
     size = section.results["size"]
     body = _errors(section.results["found"], methods, "mean")
     return f"{section.source}\n\nPictures of {size} x {size} pixels.\n\n{body}"
@@ -67,7 +67,7 @@ def surfaces() -> str:
 def pictures() -> str:
     """Error on real photographs."""
     section = load_section(SHAPE, "pictures")
-    methods = ("plane", "inflated", "lambert alone", "vcavity alone", "vcavity", "vcavity, ambient found")
+    methods = ("inflated", "network", "lambert alone", "vcavity alone", "vcavity, silhouette", "vcavity")
     return f"{section.source}\n\n{_errors(section.results['found'], methods, 'mean')}"
 
 
@@ -99,6 +99,20 @@ def sizes() -> str:
         for side, row in section.results["found"].items()
     ]
     return f"{section.source}\n\n{table(['bumpy ellipsoid', 'seconds', 'median error, degrees'], rows)}"
+
+
+def counts() -> str:
+    """Error by number of pictures, beside photometric stereo."""
+    section = load_section(SHAPE, "counts")
+    found = section.results["found"]
+    numbers = list(next(iter(found.values())))
+    methods = ("shape from shading", "photometric stereo")
+    rows = [
+        [f"{name}, {method}", *(fixed(row[n][method], 2) if method in row[n] else "" for n in numbers)]
+        for name, row in found.items()
+        for method in methods
+    ]
+    return f"{section.source}\n\n{table(['mean error in degrees; pictures', *numbers], rows)}"
 
 
 def failures() -> str:
