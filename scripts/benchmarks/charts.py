@@ -133,7 +133,9 @@ def shape_speed() -> Figure:
     figure = Figure(figsize=(7, 4.2), layout="constrained")
     axis = figure.subplots()
     points = {f"{count} steps": (row, "o", "#1f77b4") for count, row in steps.items()}
-    points |= {m: (row, "s", "#888") for m, row in methods.items() if m not in ("plane", "vcavity")}
+    points |= {
+        m: (row, "s", "#888") for m, row in methods.items() if m not in ("plane", "vcavity", "vcavity, silhouette")
+    }
     for name, (row, marker, colour) in points.items():
         axis.plot(row["seconds"], row["median"], marker, color=colour)
         axis.annotate(name, (row["seconds"], row["median"]), (5, 4), textcoords="offset points", fontsize=8)

@@ -24,6 +24,7 @@ def write(page: Path) -> None:
 def help_of(*command: str) -> str:
     """What the command's ``--help`` prints."""
     plain = {"COLUMNS": str(COLUMNS), "TERM": "dumb", "NO_COLOR": "1", "PYTHONIOENCODING": "utf-8"}
-    run = [sys.executable, "-c", "from torch_orennayar.cli import main; main()", *command, "--help"]
+    code = "import sys; from torch_orennayar.cli import main; sys.argv[0] = 'orennayar'; main()"
+    run = [sys.executable, "-c", code, *command, "--help"]
     shown = subprocess.run(run, capture_output=True, check=True, encoding="utf-8", env={**os.environ, **plain})
     return shown.stdout.strip()

@@ -41,7 +41,7 @@ def test_documents_lead_to_each_other(tmp_path: Path) -> None:
 def test_every_command_is_on_the_page_of_commands() -> None:
     listed = re.findall(r"^  (\w+)  ", commands.help_of().partition("Commands:")[2], re.MULTILINE)
     assert sorted(listed) == sorted(commands.COMMANDS)
-    assert "--own-intensities" in commands.help_of("stereo")
+    assert commands.help_of("stereo").startswith("Usage: orennayar stereo")
 
 
 @pytest.mark.parametrize(
