@@ -66,8 +66,7 @@ def test_known_lights_that_are_not_equally_bright_are_told(ball: tuple[Tensor, T
     even = images / colour[:, :, None, None]
     shuffled = torch.randperm(COUNT, generator=torch.Generator().manual_seed(0))
     uneven = even * torch.linspace(0.5, 1.5, COUNT)[shuffled][:, None, None, None]
-    with pytest.warns(UserWarning, match="intensities=|left out"):
-        found = photometric_stereo(uneven, spiral_lights(COUNT), mask, model="lambert")
+    found = photometric_stereo(uneven, spiral_lights(COUNT), mask, model="lambert")
     assert findings(found, "lights-unequal")
     assert not findings(photometric_stereo(even, spiral_lights(COUNT), mask, model="lambert"), "lights-unequal")
 

@@ -47,11 +47,6 @@ def _short(number: float | None) -> str:
     return "" if number is None else f"{number:.3g}"
 
 
-def _with_numbers(values: dict[str, list[str]]) -> dict[str, list[str | int]]:
-    """Sizes by name, those of fixed axes as numbers."""
-    return {name: [int(axis) if axis.isdigit() else axis for axis in axes] for name, axes in values.items()}
-
-
 def _describe_graph(path: Path, *, operators: bool, as_json: bool) -> None:
     from ..export.describe import describe_onnx
     from .tables import print_table
@@ -60,8 +55,7 @@ def _describe_graph(path: Path, *, operators: bool, as_json: bool) -> None:
         raise FileError(str(path), expected="an .onnx file", got=path.suffix or "no suffix", mend="give a graph")
     found = describe_onnx(path)
     if as_json:
-        sizes = {"inputs": _with_numbers(found["inputs"]), "outputs": _with_numbers(found["outputs"])}
-        typer.echo(json.dumps({**found, **sizes}, indent=2))
+        typer.echo(json.dumps(found, indent=2))
         return
     for kind, values in (("input", found["inputs"]), ("output", found["outputs"])):
         rows = [(n, found["types"][n], " x ".join(axes), found["meanings"][n]) for n, axes in values.items()]

@@ -41,6 +41,9 @@ CALIBRATION_PIXELS = 4000
 """Pixels from which the intensities are found. Set by hand."""
 LIGHTS_TO_JUDGE, LEAST_TO_JUDGE, PIXELS_TO_JUDGE = 8, 64, 1000
 """Fewest lights whose brightness is doubted, fewest and most pixels of the first look. Set by hand."""
+EXPLAINED = 0.4
+"""Share of the misfit that brightness found must leave at most to be believed. Set by hand: .05 to .33 on four captures
+of unequal lights, .5 and more where their lights are in a wrong order, which brightness cannot mend."""
 UNEQUAL = 0.12
 """Standard deviation of the logarithm of the lights' brightness, by the first look, from which they are not taken as
 equally bright. Set by hand: six captures of equal lights show up to .07, two of unequal ones .33 and .50."""
@@ -264,7 +267,7 @@ def own_intensities(images: Tensor, lights: Tensor, mask: Tensor | None = None, 
     _check_lights(images, lights)
     if len(images) < 5:
         raise CaptureError("images", expected="at least 5", got=str(len(images)), mend="calibrate with a grey ball")
-    return _alternate(_draw_sample(images, lights, mask, seed), ROUNDS).to(images)
+    return _alternate(_draw_sample(images, lights, mask, seed), ROUNDS)[0].to(images)
 
 
 def unequal_intensities(images: Tensor, lights: Tensor, mask: Tensor | None = None, *, seed: int = 0) -> Tensor | None:
@@ -279,9 +282,12 @@ def unequal_brightness(sample: PixelSample) -> Tensor | None:
     """
     if sample.grey.shape[1] < LIGHTS_TO_JUDGE or len(sample) < LEAST_TO_JUDGE:
         return None
-    first = _alternate(sample[:PIXELS_TO_JUDGE], 1).log()
+    first = _alternate(sample[:PIXELS_TO_JUDGE], 1)[0].log()
     spread = MAD_TO_SIGMA * float((first - first.median()).abs().median())
-    return _alternate(sample[:CALIBRATION_PIXELS], ROUNDS) if spread > UNEQUAL else None
+    if not spread > UNEQUAL:
+        return None
+    found, misfits = _alternate(sample[:CALIBRATION_PIXELS], ROUNDS)
+    return found if misfits[-1] < EXPLAINED * misfits[0] else None
 
 
 def _draw_sample(images: Tensor, lights: Tensor, mask: Tensor | None, seed: int) -> PixelSample:
@@ -296,9 +302,9 @@ def _draw_sample(images: Tensor, lights: Tensor, mask: Tensor | None, seed: int)
     return PixelSample(grey[some], LightDirections.of(lights.to(grey)), places[some], images.shape[3])
 
 
-def _alternate(sample: PixelSample, rounds: int) -> Tensor:
-    """Brightness (K, 1) of the lights after so many fits, each under the brightness before."""
-    intensity = torch.ones_like(sample.grey[:1])
+def _alternate(sample: PixelSample, rounds: int) -> tuple[Tensor, list[float]]:
+    """Brightness (K, 1) of the lights after so many fits, each under the brightness before, and the fits' misfits."""
+    intensity, misfits = torch.ones_like(sample.grey[:1]), list[float]()
     fitted: PixelFit | None = None
     for _ in range(rounds):
         scaled = replace(sample, grey=sample.grey / intensity)
@@ -307,11 +313,12 @@ def _alternate(sample: PixelSample, rounds: int) -> Tensor:
         else:
             fitted = robust_fit.fit(scaled, Material(), start=fitted, steps=3)
         predicted = robust_fit.predict(fitted, sample.directions, Material())
+        misfits.append(float(((scaled.grey - predicted).abs() / mean_brightness(scaled.grey)).median()))
         weight = robust_fit.weights(fitted, scaled.grey, predicted, "lit") / mean_brightness(scaled.grey).square()
         gain = (weight * scaled.grey * predicted).sum(0) / (weight * predicted.square()).sum(0).clamp_min(1e-12)
         intensity = intensity * gain**OVERSHOOT
         intensity = intensity / intensity.mean()
-    return intensity.T
+    return intensity.T, misfits
 
 
 def _check_images(images: Tensor) -> None:

@@ -9,7 +9,6 @@ from torch import Tensor
 from ..core.checks import check_mask
 from ..core.errors import RangeError, ShapeError
 from ..core.findings import Finding
-from ..core.warn import warn
 from .calibrate import own_intensities, unequal_brightness
 from .capture_checks import find_valid
 from .light_refinement import refine_lights
@@ -100,7 +99,7 @@ def know_lights(
 
 
 def doubt_brightness(sample: PixelSample) -> list[Finding]:
-    """A finding, and a warning, where pixels say that lights taken as equally bright are not."""
+    """A finding where pixels say that lights taken as equally bright are not."""
     found = unequal_brightness(sample)
     if found is None:
         return []
@@ -109,7 +108,6 @@ def doubt_brightness(sample: PixelSample) -> list[Finding]:
         f"the photographs say that the lights' brightness differs, by {spread:.0f} %: from {found.min():.2f} to "
         f'{found.max():.2f} of the mean; intensities="unknown" (--own-intensities) divides by it.'
     )
-    warn(text)
     return [Finding(text, "lights-unequal", spread)]
 
 
