@@ -9,10 +9,10 @@ import typer
 
 from ..core.files import check_output
 from ..core.progress import say
-from .options import Azimuth, Elevation, FieldOfView, make_camera
+from .options import Azimuth, ClosedForm, Elevation, FieldOfView, make_camera
 
 Graph = Literal["shading", "renderer", "shaded_mesh", "stereo", "integration"]
-ExportModel = Literal["lambert", "qualitative", "qualitative-0.57", "fujii", "full", "vcavity", "eon", "network"]
+ExportModel = Literal[ClosedForm, "network"]
 """`MODELS` that a graph can hold: not `theory`, which is a quadrature; and the network of photometric stereo."""
 
 

@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from ..geometry.camera import Camera
 
 # `MODELS` itself would make `orennayar --help` wait for torch; tests/cli/test_choices.py compares them.
-ModelName = Literal["lambert", "qualitative", "qualitative-0.57", "fujii", "full", "vcavity", "eon", "theory"]
+ClosedForm = Literal["lambert", "qualitative", "qualitative-0.57", "fujii", "full", "vcavity", "eon"]
+ModelName = Literal[ClosedForm, "theory"]
 StereoModel = Literal["auto", ModelName, "network"]
 ShapeModel = Literal["auto", ModelName]
 Encoding = Literal["auto", "linear", "srgb"]

@@ -81,7 +81,10 @@ class Capture:
             CaptureError: fewer than 5 lights.
         """
         raw = self.images * self.intensities[:, :, None, None].to(self.images)
-        found = own_intensities(raw, self.lights, self.mask, seed=seed)
+        return self._divided(raw, own_intensities(raw, self.lights, self.mask, seed=seed))
+
+    def _divided(self, raw: Tensor, found: Tensor) -> Capture:
+        """The capture with ``raw`` images, which are overwritten, divided by intensities (K, 1) found from them."""
         text = f"intensities of the lights found from the capture itself, {found.min():.2f} to {found.max():.2f}."
         kept = (note for note in self.notes if note.code not in ("no-intensities", "intensities-from-capture"))
         notes = (*kept, Finding(text, "intensities-from-capture"))
@@ -208,7 +211,7 @@ def _judged(capture: Capture, *, by_order: bool) -> Capture:
     if {"lights-found", "lights-unequal"} & {note.code for note in capture.notes}:
         return capture  # their brightness was judged when they were found
     found = unequal_intensities(capture.images, capture.lights, capture.mask)
-    return capture if found is None else capture.with_own_intensities()
+    return capture if found is None else capture._divided(capture.images, found)  # its stated intensities are 1
 
 
 @dataclass(frozen=True)

@@ -10,14 +10,13 @@ import math
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import NamedTuple, cast
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from ..core.errors import FileError
-from ..core.files import atomic_path
+from ..core.network_files import load_weights, save_weights
 from ..geometry.height_field import inflate, normals
 from .scene import peak_brightness
 
@@ -198,9 +197,7 @@ class _Doubt(nn.Module):
 
 def save_picture_network(path: str | Path, network: PictureNetwork) -> None:
     """Write widths and weights, these in half precision, to the file that `load_picture_network` reads."""
-    weights = {name: value.detach().cpu().half() for name, value in network.state_dict().items()}
-    with atomic_path(Path(path)) as temporary:
-        torch.save({"widths": network.widths, "weights": weights}, temporary)
+    save_weights(path, network, {"widths": network.widths})
 
 
 def load_picture_network(path: str | Path = WEIGHTS) -> PictureNetwork:
@@ -209,14 +206,7 @@ def load_picture_network(path: str | Path = WEIGHTS) -> PictureNetwork:
     Raises:
         FileError: no such file, or one that holds no such network.
     """
-    try:
-        saved: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
-        network = PictureNetwork(tuple(saved["widths"]))
-        network.load_state_dict({name: value.float() for name, value in saved["weights"].items()})
-    except Exception as error:  # torch raises many kinds for what is no checkpoint
-        got = f"{type(error).__name__}: {error}"
-        raise FileError(str(path), expected="a network of save_picture_network", got=got, mend="train it") from error
-    return network.eval()
+    return load_weights(path, PictureNetwork, "save_picture_network")
 
 
 @torch.no_grad()

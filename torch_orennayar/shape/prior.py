@@ -10,7 +10,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from ..core.findings import Finding
-from .picture_network import learned_normals
+from .picture_network import learned_normals, load_picture_network
 from .scene import PictureScene, Prior
 
 OUTLINE_TRUSTED = 1.2
@@ -44,7 +44,8 @@ def _read(scene: PictureScene, *, albedo_unknown: bool) -> Prior:
     """What the network reads in each picture, averaged; of several pictures its error does not become smaller."""
     inside = scene.mask > 0
     even = scene.image if albedo_unknown else scene.image / scene.albedo.clamp_min(DARKEST * scene.albedo.max())
-    read = [learned_normals(image, light, inside) for image, light in zip(even, scene.light, strict=True)]
+    network = load_picture_network()
+    read = [learned_normals(image, light, inside, network) for image, light in zip(even, scene.light, strict=True)]
     weights = [inside / found.error.square().clamp_min(1e-6) for found in read]
     normal = torch.stack([found.normal * weight for found, weight in zip(read, weights, strict=True)]).sum(0)
     return Prior(F.normalize(normal, dim=0), torch.stack(weights).mean(0).clamp_min(1e-6).rsqrt())

@@ -8,14 +8,13 @@ that axis.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from ..core.errors import FileError
-from ..core.files import atomic_path
+from ..core.network_files import load_weights, save_weights
 from .linear_systems import camera_facing, solve_symmetric
 from .robust_stats import MAD_TO_SIGMA, MIDDLE_RANKS, SHADOW, geman_mcclure
 
@@ -229,9 +228,7 @@ def save_network(path: str | Path, network: SetNetwork) -> None:
         >>> type(ton.load_network(path)).__name__
         'SetNetwork'
     """
-    weights = {name: value.detach().cpu().half() for name, value in network.state_dict().items()}
-    with atomic_path(Path(path)) as temporary:
-        torch.save({"shape": network.shape, "weights": weights}, temporary)
+    save_weights(path, network, network.shape)
 
 
 def load_network(path: str | Path = WEIGHTS) -> SetNetwork:
@@ -248,12 +245,4 @@ def load_network(path: str | Path = WEIGHTS) -> SetNetwork:
         >>> normal[0, 2].item() > 0.9
         True
     """
-    try:
-        saved: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
-        network = SetNetwork(**saved["shape"])
-        network.load_state_dict({name: value.float() for name, value in saved["weights"].items()})
-    except Exception as error:  # torch raises many kinds for what is no checkpoint
-        raise FileError(
-            str(path), expected="a network of save_network", got=f"{type(error).__name__}: {error}", mend="train it"
-        ) from error
-    return network.eval()
+    return load_weights(path, SetNetwork, "save_network")
