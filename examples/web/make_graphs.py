@@ -45,7 +45,7 @@ def main(folder: str) -> None:
     ton.export_onnx("stereo", target / "stereo_network.onnx", model="network")
     print("exporting integration", flush=True)
     ton.export_onnx("integration", target / "integration.onnx")
-    print("exporting the renderer, about half a minute", flush=True)
+    print("exporting the renderer", flush=True)
     ton.export_onnx("renderer", target / "renderer.onnx", camera=camera, size=SIZE)
     vertices, faces = bumpy_ball()
     normal = ton.render_normals(vertices, faces, camera, SIZE).normal[0]

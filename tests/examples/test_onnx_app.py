@@ -13,7 +13,6 @@ import torch
 
 import torch_orennayar as ton
 from tests.support.objects import Scene
-from tests.support.traced_graphs import CAMERA, SIZE
 from torch_orennayar.geometry.mesh import normalise_mesh
 from torch_orennayar.io.capture import save_capture
 from torch_orennayar.io.images import read_image, write_image
@@ -24,6 +23,7 @@ WITHOUT_TORCH = (
     "import runpy, sys; sys.modules['torch'] = sys.modules['torch_orennayar'] = None; "
     f"sys.argv = [{str(APP)!r}, *sys.argv[1:]]; runpy.run_path({str(APP)!r}, run_name='__main__')"
 )
+CAMERA, SIZE = ton.Camera.orthographic(1.05), (96, 128)
 LIGHT = torch.nn.functional.normalize(torch.tensor([0.3, 0.4, 0.86]), dim=0)
 
 

@@ -10,8 +10,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from tests.support.objects import run_graph
-from tests.support.traced_graphs import CAMERA, SIZE
-from torch_orennayar import ExportError, OrenNayar, export_onnx, oren_nayar
+from torch_orennayar import Camera, ExportError, OrenNayar, export_onnx, oren_nayar
 from torch_orennayar.export.describe import describe_onnx
 
 
@@ -127,7 +126,8 @@ def test_half_precision_of_the_others(tmp_path: Path) -> None:
     path = export_onnx("stereo", tmp_path / "stereo.onnx", model="lambert", dtype=torch.float16)
     session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
     assert [i.type for i in session.get_inputs()] == ["tensor(float16)", "tensor(float16)", "tensor(bool)"]
-    path = export_onnx("renderer", tmp_path / "renderer.onnx", camera=CAMERA, size=SIZE, dtype=torch.float16)
+    camera = Camera.orthographic(1.05)
+    path = export_onnx("renderer", tmp_path / "renderer.onnx", camera=camera, size=(64, 48), dtype=torch.float16)
     session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
     types = [o.type for o in session.get_outputs()]
     assert types == ["tensor(float16)", "tensor(bool)", "tensor(float16)", "tensor(int64)"]

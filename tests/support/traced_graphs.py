@@ -14,13 +14,8 @@ import onnx
 import pytest
 from filelock import FileLock
 
-from torch_orennayar import MODELS, Camera
+from torch_orennayar import MODELS
 from torch_orennayar.export import shading_graph
-
-CAMERA, SIZE = Camera.orthographic(1.05), (512, 512)
-"""What the tests of a renderer without shading share with the page in ``examples/web``, so that it is traced once; at
-this size the camera's maps would not fit into the file."""
-
 
 BUILT_IN = frozenset(MODELS)
 
@@ -28,7 +23,6 @@ BUILT_IN = frozenset(MODELS)
 def share(patch: pytest.MonkeyPatch, folder: Path) -> None:
     """Let the builders of graphs look into ``folder`` first, and leave there what they trace."""
     keys: dict[tuple[str, str], Callable[..., str | None]] = {
-        ("renderer", "traced_renderer"): lambda *, perspective, near: f"{perspective} {near}",
         ("shading", "shading_graph"): _shading_key,
         ("stereo", "stereo_graph"): str,
         ("network", "network_graph"): lambda: "",

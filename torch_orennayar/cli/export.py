@@ -53,7 +53,7 @@ def export(
     check_output(path.parent)
     drawn = graph in ("renderer", "shaded_mesh")
     side = size or (512 if drawn else None)
-    say("exporting and verifying" + (", about half a minute" if drawn else ""))
+    say("exporting and verifying")
     export_onnx(
         graph,
         path,

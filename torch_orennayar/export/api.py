@@ -63,7 +63,7 @@ def export_onnx(
     last pixel; V and F >= 1 are dynamic, the camera and H, W are in the file. With ``view_inputs`` one file serves
     every view: it takes ``rotation`` (3, 3), ``eye`` (3,), ``focal`` (2,) and ``centre`` (2,), the fields of `Camera`,
     and ``size`` (2,) int64, H and W, after the faces; only the kind of camera and its near plane are in the file. Faces
-    must name vertices that exist and vertices must be finite: a graph cannot check. Tracing takes about half a minute.
+    must name vertices that exist and vertices must be finite: a graph cannot check.
 
     ``"shaded_mesh"`` also takes ``light`` (K, 3) in the camera frame, ``albedo`` (C,) and ``roughness`` (1,) and
     returns ``shading`` (K, C, H, W) before those; K and C are dynamic.

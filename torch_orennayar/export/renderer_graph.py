@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import torch
 import torch.nn.functional as F
-from torch import Tensor, nn
+from torch import Tensor
 
 from ..core.errors import ExportError
 from ..core.optional import require
 from ..geometry.camera import Camera
 from ..reflectance.models import get_model
-from ..render.normal_map import MAX_FACES, MAX_SIDE, check_size, rasterise
+from ..render.normal_map import MAX_SIDE, check_size, rasterise
 from ..shading.functional import oren_nayar
 from .formula import Shading, trace_formula
-from .nodes import Nodes, TraceError, as_model, inline, trace
+from .nodes import Nodes, as_model, inline
 from .shading_graph import shading_metadata
 from .task import ExportTask
 
@@ -32,38 +33,15 @@ VIEW: tuple[str, ...] = (*CAMERA, "size")
 """Names of the inputs that are part of the file unless the view is an input."""
 SHADING: tuple[str, ...] = ("light", "albedo", "roughness")
 """Names of the inputs that shading adds."""
-MOST_VERTICES = 1 << 31
-"""Bound that the exporter is told, so that products of sizes fit into 64 bits."""
-RENDERER_ERROR = TraceError(
-    "renderer",
-    "a graph that torch.onnx can write",
-    "report this with the versions that `orennayar info` prints",
-)
-"""Where the exporter fails on the renderer, which is ours."""
+GRAPHS = {kind: Path(__file__).with_name(f"renderer_{kind}.onnx") for kind in ("perspective", "orthographic")}
+"""`view_maps` as ONNX graphs, whose inputs are `MESH`, `VIEW` and, in perspective, ``near``; tracing takes a minute and
+is done by ``scripts/fit/trace_renderer.py``."""
 
 
-class Renderer(nn.Module):
-    """From a mesh and a camera to the maps of `NormalMap` and the view directions."""
-
-    def __init__(self, *, perspective: bool, near: float) -> None:
-        super().__init__()
-        self.perspective, self.near = perspective, near
-
-    def forward(
-        self,
-        vertices: Tensor,
-        faces: Tensor,
-        rotation: Tensor,
-        eye: Tensor,
-        focal: Tensor,
-        centre: Tensor,
-        canvas: Tensor,
-    ) -> tuple[Tensor, ...]:
-        """The maps in the order of `MAPS`, then (1, 3, H, W) view directions; ``canvas`` (H, W) only has a size."""
-        camera = Camera(rotation[None], eye[None], focal[None], centre[None], self.perspective, self.near)
-        size = (canvas.shape[0], canvas.shape[1])
-        seen = rasterise(vertices[None], faces, camera, size)
-        return seen.normal, seen.mask, seen.depth, seen.face, camera.view_directions(size).to(vertices)
+def view_maps(vertices: Tensor, faces: Tensor, camera: Camera, size: tuple[int, int]) -> tuple[Tensor, ...]:
+    """The maps in the order of `MAPS` of one mesh (V, 3), then (1, 3, H, W) view directions."""
+    seen = rasterise(vertices[None], faces, camera, size)
+    return seen.normal, seen.mask, seen.depth, seen.face, camera.view_directions(size).to(vertices)
 
 
 def renderer_task(
@@ -82,15 +60,16 @@ def renderer_task(
         raise ExportError("camera, size", expected="one camera and (H, W)", got=got, mend="give camera= and size=")
     check_size(size)
     camera.rays(size)  # raises where camera and size do not fit
-    renderer = Renderer(perspective=camera.is_perspective, near=camera.near)
     model = None if model is None else get_model(model).name
 
     own = [*(getattr(camera, name)[0].detach().cpu().float() for name in CAMERA), torch.tensor(size)]
 
     def render(*inputs: Tensor) -> tuple[Tensor, ...]:
-        view_of = inputs[2:7] if view_inputs else own
-        height, width = view_of[-1].tolist()
-        *maps, view = renderer(*inputs[:2], *view_of[:-1], torch.empty(()).expand(height, width))
+        vertices, faces = inputs[:2]
+        rotation, eye, focal, centre, canvas = inputs[2:7] if view_inputs else own
+        placed = rotation[None], eye[None], focal[None], centre[None]
+        height, width = canvas.tolist()
+        *maps, view = view_maps(vertices, faces, Camera(*placed, camera.is_perspective, camera.near), (height, width))
         if model is None:
             return tuple(maps)
         light, albedo, roughness = inputs[-3:]
@@ -98,7 +77,7 @@ def renderer_task(
         return (oren_nayar(maps[0], toward, view, paint, roughness.reshape(1, 1, 1, 1), model=model), *maps)
 
     inputs = (*MESH, *(VIEW if view_inputs else ()), *(() if model is None else SHADING))
-    graph = renderer_graph(renderer, model, None if view_inputs else own)
+    graph = renderer_graph(camera, model, None if view_inputs else own)
     trials = renderer_trials(camera, own, model, view_inputs=view_inputs)
     return ExportTask(
         graph, _metadata(camera, own[-1].tolist(), model, view_inputs=view_inputs), inputs, trials, render
@@ -136,76 +115,43 @@ def _metadata(camera: Camera, size: list[int], model: str | None, *, view_inputs
     return metadata if model is None else metadata | shading_metadata(model)
 
 
-def renderer_graph(renderer: Renderer, model: str | None, view: list[Tensor] | None) -> onnx.ModelProto:
+def renderer_graph(camera: Camera, model: str | None, view: list[Tensor] | None) -> onnx.ModelProto:
     """The graph; the numbers of vertices, faces, lights and channels are dynamic.
 
     Args:
-        renderer: the kind of camera.
+        camera: its kind and its near plane are part of the graph.
         model: the model to shade with, or None.
         view: values of `VIEW` to store in the graph, or None where they are inputs.
     """
-    from onnx import numpy_helper
+    import onnx
     from onnx.utils import Extractor
 
-    traced = traced_renderer(perspective=renderer.perspective, near=renderer.near)
+    shipped = onnx.load(GRAPHS["perspective" if camera.is_perspective else "orthographic"])
+    if camera.is_perspective:
+        _store(shipped.graph, {"near": torch.tensor(camera.near, dtype=torch.float64)})
     if model is not None:
-        traced = _with_shading(traced, model)
+        model_graph = _with_shading(shipped, model)
     else:
-        traced = Extractor(traced).extract_model([*MESH, *VIEW], list(MAPS))
-    if view is None:
-        return traced
-    graph = traced.graph
-    fixed = dict(zip(VIEW, view, strict=True))
-    graph.initializer.extend(numpy_helper.from_array(v.numpy(), name) for name, v in fixed.items())
-    inputs = [value for value in graph.input if value.name not in fixed]
+        model_graph = Extractor(shipped).extract_model([*MESH, *VIEW], list(MAPS))
+    if view is not None:
+        _store(model_graph.graph, dict(zip(VIEW, view, strict=True)))
+        for value in model_graph.graph.output:
+            for axis, length in zip(value.type.tensor_type.shape.dim[-2:], view[-1].tolist(), strict=True):
+                axis.dim_value = length
+    return model_graph
+
+
+def _store(graph: onnx.GraphProto, values: dict[str, Tensor]) -> None:
+    """Turn the inputs named by ``values`` into constants of the graph."""
+    from onnx import numpy_helper
+
+    graph.initializer.extend(numpy_helper.from_array(value.numpy(), name) for name, value in values.items())
+    inputs = [value for value in graph.input if value.name not in values]
     del graph.input[:]
     graph.input.extend(inputs)
-    for value in graph.output:
-        for axis, length in zip(value.type.tensor_type.shape.dim[-2:], view[-1].tolist(), strict=True):
-            axis.dim_value = length
-    return traced
 
 
-def traced_renderer(*, perspective: bool, near: float) -> onnx.ModelProto:
-    """The graph of `Renderer` with an input ``size`` (2,) int64 in place of the canvas."""
-    from onnx import TensorProto, helper, numpy_helper
-
-    dim = torch.export.Dim
-    example = (
-        torch.rand(5, 3),
-        torch.tensor([[0, 1, 2], [1, 2, 3], [2, 3, 4]]),
-        torch.eye(3),
-        *(torch.rand(n) for n in (3, 2, 2)),
-        torch.zeros(9, 8),
-    )
-    sizes: tuple[dict[int, Any], ...] = (
-        {0: dim("vertices", max=MOST_VERTICES)},
-        {0: dim("faces", max=MAX_FACES)},
-        *({},) * len(CAMERA),
-        {0: dim("height", max=MAX_SIDE), 1: dim("width", max=MAX_SIDE)},
-    )
-    renderer = Renderer(perspective=perspective, near=near)
-    outputs = (*MAPS, "view")
-    traced = trace(lambda: renderer, example, (*MESH, *CAMERA, "canvas"), outputs, sizes, RENDERER_ERROR)
-    graph = traced.graph
-    for node in graph.node:
-        if "canvas" in node.input:  # its shape is all that is read
-            first, last = _range_of_shape(node)
-            node.op_type, node.input[:] = "Slice", ["size", f"axis_{first}", f"axis_{last}"]
-            del node.attribute[:]
-    graph.initializer.extend(numpy_helper.from_array(torch.tensor([k]).numpy(), f"axis_{k}") for k in range(3))
-    del graph.input[-1]
-    graph.input.append(helper.make_tensor_value_info("size", TensorProto.INT64, [2]))
-    return traced
-
-
-def _range_of_shape(node: onnx.NodeProto) -> tuple[int, int]:
-    """First and last axis, the latter excluded, of a node ``Shape`` of two axes."""
-    limits = {attribute.name: attribute.i for attribute in node.attribute}
-    return limits.get("start", 0), limits.get("end", 2)
-
-
-def _with_shading(traced: onnx.ModelProto, model: str) -> onnx.ModelProto:
+def _with_shading(shipped: onnx.ModelProto, model: str) -> onnx.ModelProto:
     """The renderer's graph with the inputs of `SHADING`, and ``shading`` (K, C, H, W) before its other outputs."""
     from onnx import TensorProto, helper, numpy_helper
 
@@ -224,7 +170,7 @@ def _with_shading(traced: onnx.ModelProto, model: str) -> onnx.ModelProto:
     def floats(name: str, *sizes: str | int) -> onnx.ValueInfoProto:
         return helper.make_tensor_value_info(name, TensorProto.FLOAT, sizes)
 
-    graph = traced.graph
+    graph = shipped.graph
     inputs = floats("light", "lights", 3), floats("albedo", "channels"), floats("roughness", 1)
     outputs = floats("shading", "lights", "channels", "height", "width"), *graph.output[:-1]
     return as_model(
