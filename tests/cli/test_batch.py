@@ -62,6 +62,26 @@ def test_many_captures_go_on_after_a_bad_one_and_are_not_solved_twice(
     assert first.stat().st_mtime_ns == before
 
 
+def test_files_outside_the_folders_hold_for_all_of_a_batch(
+    orennayar: Run, capture_folder: Path, tmp_path: Path
+) -> None:
+    """One rig, one light file and one mask; results with other options are not taken for these."""
+    for name in ("light_directions.txt", "mask.png"):
+        shutil.move(capture_folder / name, tmp_path / name)
+    (capture_folder / "filenames.txt").unlink()
+    files = ("--lights", tmp_path / "light_directions.txt", "--mask", tmp_path / "mask.png")
+    seen = orennayar("inspect", capture_folder, *files, "-o", tmp_path / "seen")
+    assert "12 from a light file" in seen.out
+    assert f"mask.png: {read_image(tmp_path / 'mask.png').mean() / 255:.0%}" in seen.out
+    command = ("batch", capture_folder, "-o", tmp_path / "out", "--no-report", "--model", "lambert")
+    assert orennayar(*command, *files, "--scale", "0.5").status == 0
+    numbers = json.loads((tmp_path / "out" / capture_folder.name / "result.json").read_text())
+    alone = orennayar("stereo", capture_folder, *files, "--scale", "0.5", "--model", "lambert", "-o", tmp_path / "one")
+    assert alone.status == 0, alone.err
+    assert numbers["pixels"] == json.loads((tmp_path / "one" / "result.json").read_text())["pixels"] < 300
+    assert "--again" in orennayar(*command, *files).err  # not at half the size
+
+
 def test_a_batch_of_nothing_is_refused(orennayar: Run, tmp_path: Path) -> None:
     (tmp_path / "list.txt").write_text("# none\n")
     result = orennayar("batch", tmp_path / "list.txt", "-o", tmp_path / "out")

@@ -7,13 +7,24 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from pathlib import Path
-from typing import Annotated, TypeAlias
+from typing import Annotated, Any, TypeAlias
 
 import typer
 
 from ..core.errors import FileError, TorchOrenNayarError
 from ..core.files import atomic_path, read_json
-from .options import Output, Report, StereoModel
+from .options import (
+    BallOutline,
+    ChromeFolder,
+    Crop,
+    EncodingOption,
+    LightFile,
+    MaskChoice,
+    Output,
+    Report,
+    Scale,
+    StereoModel,
+)
 
 COLUMNS = ("capture", "images", "model", "verdict", "seconds")
 LISTED = "captures.json"
@@ -28,18 +39,32 @@ def batch(
     captures: Annotated[list[Path], typer.Argument(help="Folders, or text files that list folders, one per line.")],
     output: Output = Path("out"),
     model: Annotated[StereoModel, typer.Option(help="Reflectance model, or network; auto chooses.")] = "auto",
+    lights: LightFile = None,
+    mask: MaskChoice = None,
+    chrome: ChromeFolder = None,
+    ball: BallOutline = None,
+    crop: Crop = None,
+    scale: Scale = 1.0,
+    encoding: EncodingOption = "auto",
     report: Report = True,
     again: Annotated[bool, typer.Option("--again", help="Solve captures that have a result, too.")] = False,
     scheduler: Annotated[
         str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler whose workers solve the captures.")
     ] = None,
 ) -> None:
-    """Many captures, each into a folder of its own name; one that fails is named and the rest go on."""
+    """Many captures, each into a folder of its own name; one that fails is named and the rest go on.
+
+    What is said of lights, masks and pictures holds for all of them.
+    """
     from .tables import print_table
 
     folders = name_folders(captures)
-    _claim(output, folders, model, again=again)
-    solve = partial(solve_capture, model=model, report=report, again=again)
+    files = {"lights": lights, "mask": mask, "chrome": chrome}
+    paths = {name: path if str(path) == "whole" else path.resolve() for name, path in files.items() if path}
+    options: dict[str, Any] = {**paths, "ball": ball, "crop": crop, "scale": scale, "encoding": encoding}
+    wanted = {"model": model, **{name: str(value) for name, value in options.items() if value is not None}}
+    _claim(output, folders, wanted, again=again)
+    solve = partial(solve_capture, model=model, report=report, again=again, options=options)
     jobs = [(folder, (output / name).resolve()) for folder, name in folders.items()]
     rows = []
     for row in _on_cluster(scheduler, solve, jobs) if scheduler else (solve(*job) for job in jobs):
@@ -51,26 +76,32 @@ def batch(
         raise typer.Exit(1)
 
 
-def _claim(output: Path, folders: dict[Path, str], model: str, *, again: bool) -> None:
+def _claim(output: Path, folders: dict[Path, str], options: dict[str, str], *, again: bool) -> None:
     """Write down whose results the folders of ``output`` hold, so that those of others are not taken for them.
 
     Raises:
-        FileError: one of them holds the results of another capture or model, or the list is damaged.
+        FileError: one of them holds the results of another capture or other options, or the list is damaged.
     """
     listed = output / LISTED
     known = read_json(listed) if listed.is_file() else {}
     for folder, name in folders.items():
-        wanted = {"folder": str(folder), "model": model}
+        wanted = {"folder": str(folder), **options}
         if name in known and known[name] != wanted and not (again and known[name].get("folder") == str(folder)):
-            mend = "use another -o, or --again for another model of the same captures"
+            mend = "use another -o, or --again for other options with the same captures"
             raise FileError(str(output), expected=f"no results but of {wanted}", got=f"{known[name]}", mend=mend)
         known[name] = wanted
     with atomic_path(listed) as temporary:
         temporary.write_text(json.dumps(known, indent=1) + "\n", encoding="utf-8")
 
 
-def solve_capture(folder: Path, place: Path, *, model: StereoModel, report: bool, again: bool) -> Row:
-    """Solve one capture unless it has a result; its row of the table, of a failure with the reason at its end."""
+def solve_capture(
+    folder: Path, place: Path, *, model: StereoModel, report: bool, again: bool, options: dict[str, Any]
+) -> Row:
+    """Solve one capture, with ``options`` of `stereo`, unless it has a result.
+
+    Returns:
+        Its row of the table; of a failure with the reason at its end.
+    """
     from .stereo import stereo
 
     try:
@@ -78,7 +109,7 @@ def solve_capture(folder: Path, place: Path, *, model: StereoModel, report: bool
         if not _is_whole(place):
             (place / "result.json").unlink(missing_ok=True)
         if again or not all((place / name).is_file() for name in ("result.json", last)):
-            stereo(folder, place, model, report=report, animation=False)
+            stereo(folder, place, model, report=report, animation=False, **options)
         else:
             typer.echo(f"{place.name} has a result; --again solves it again")
         return _row(place)

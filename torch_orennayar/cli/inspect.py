@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from ..core.files import check_output
-from .options import EncodingOption, Output
+from .options import ChromeFolder, EncodingOption, LightFile, MaskFile, Output
 
 FILES = {"inspection.html", "ball.png", "object_mask.png", "outline.png"}
 """Files that the command may write."""
@@ -17,6 +17,9 @@ FILES = {"inspection.html", "ball.png", "object_mask.png", "outline.png"}
 def inspect(
     capture: Annotated[Path, typer.Argument(help="Folder of images, with or without a light file, or .lp file.")],
     output: Output = Path("out"),
+    lights: LightFile = None,
+    mask: MaskFile = None,
+    chrome: ChromeFolder = None,
     encoding: EncodingOption = "auto",
 ) -> None:
     """What a folder holds and how it is understood, as a table and a contact sheet, before anything is solved."""
@@ -28,7 +31,7 @@ def inspect(
     from .tables import print_table
 
     check_output(output, FILES)
-    seen = inspect_folder(capture, encoding)
+    seen = inspect_folder(capture, encoding, lights=lights, mask=mask, chrome=chrome)
     with results_directory(output) as folder:
         pictures = {"outline.png": seen.mask_picture, "ball.png": seen.ball_picture}
         for name, picture in pictures.items():

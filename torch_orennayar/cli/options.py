@@ -29,6 +29,7 @@ Seed = Annotated[int, typer.Option(help="Seed of everything drawn at random.", m
 Model = Annotated[ModelName, typer.Option(help="Reflectance model; `orennayar info` describes them.")]
 Roughness = Annotated[float, typer.Option(help="Roughness in degrees, 0 to 90.", min=0, max=90)]
 LightFile = Annotated[Path | None, typer.Option(help="Light file outside the folder.")]
+ChromeFolder = Annotated[Path | None, typer.Option(help="Folder of a chrome ball under the same lights.")]
 PositionFile = Annotated[
     Path | None, typer.Option(help="File of near lights: x y z from the object, right, up, to the camera, in mm.")
 ]

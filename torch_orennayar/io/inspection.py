@@ -50,21 +50,31 @@ class Inspection:
     mask_picture: Tensor
 
 
-def inspect_folder(source: Path, encoding: str = "auto") -> Inspection:
+def inspect_folder(
+    source: Path,
+    encoding: str = "auto",
+    *,
+    lights: Path | None = None,
+    mask: Path | None = None,
+    chrome: Path | None = None,
+) -> Inspection:
     """Look at a capture as `load_capture` would, at a reduced size, without finding lights from shading.
 
     Args:
         source: a folder or ``.lp`` file.
         encoding: as `load_capture` takes it.
+        lights: a light file outside the folder.
+        mask: a mask outside the folder.
+        chrome: a folder of photographs of a mirror ball under the same lights.
 
     Raises:
         FileError: as `load_capture`.
     """
     folder = source if source.is_dir() else source.parent
-    mask_file, ambient = find_mask(folder), find_ambient(folder)
+    mask_file, ambient = mask or find_mask(folder), find_ambient(folder)
     others = tuple(f for f in (mask_file, ambient) if f is not None)
     given = read_lights(
-        source, others, lights=None, chrome=None, positions=None, unit=None, ball=None, encoding=encoding
+        source, others, lights=lights, chrome=chrome, positions=None, unit=None, ball=None, encoding=encoding
     )
     height, width = read_picture(given.files[0]).samples.shape[:2]
     region = Region(scale=min(1.0, INSPECTED_SIDE / max(height, width)))
