@@ -145,7 +145,7 @@ async function openCapture(files) {
   const capture = await readCapture(files, at("encoding").value, say);
   say(`Solving ${capture.count} photographs of ${capture.width} × ${capture.height}…`);
   const begun = performance.now();
-  const { normal, albedo, roughness } = await runInWorker(at("solver").value, capture.feeds);
+  const { normal, albedo, roughness, error } = await runInWorker(at("solver").value, capture.feeds);
   const seconds = ((performance.now() - begun) / 1000).toFixed(1);
   const brightest = albedo.data.reduce((a, b) => Math.max(a, b), 1e-9);
   const shown = brightest > 1 ? albedo.data.map((value) => value / brightest) : albedo.data;
@@ -157,7 +157,13 @@ async function openCapture(files) {
   label();
   surface(normal.data, capture.width, capture.height, shown);
   const found = estimated ? `roughness ${degrees.toFixed(0)}°` : "the network tells no roughness";
-  say(`${capture.count} photographs solved in ${seconds} s: ${found}. Now relight them.`);
+  const expected = (median(error.data.filter((value) => value > 0)) * 180) / Math.PI;
+  say(`${capture.count} photographs solved in ${seconds} s: ${found}, normals within ${expected.toFixed(1)}°. Now relight them.`);
+}
+
+/** The middle one of the values. */
+function median(values) {
+  return values.toSorted()[Math.floor(values.length / 2)] ?? 0;
 }
 
 /** Opens one normal map, one mesh, or a capture. */

@@ -172,6 +172,10 @@ def test_photographs_become_normals(page: Page, tmp_path: Path, rough: Scene) ->
     page.set_input_files("#files", [f for f in (tmp_path / "capture").iterdir() if f.is_file()])
     found = status(page, "solved in")
     assert float(found.split("roughness ")[1].split("°")[0]) == pytest.approx(30, abs=3)
+    capture = ton.load_capture(tmp_path / "capture")
+    error = solve_closed_form(capture.images.float(), capture.lights.float(), capture.mask > 0, "vcavity")[3]
+    wanted = math.degrees(error[error > 0].median())
+    assert float(found.split("within ")[1].split("°")[0]) == pytest.approx(wanted, abs=0.06)
     settle(page)
     assert seen(page, "left").max() > 50
     page.select_option("#solver", "stereo_network")

@@ -25,8 +25,6 @@ def share(patch: pytest.MonkeyPatch, folder: Path) -> None:
     keys: dict[tuple[str, str], Callable[..., str | None]] = {
         ("shading", "shading_graph"): _shading_key,
         ("stereo", "stereo_graph"): str,
-        ("network", "network_graph"): lambda: "",
-        ("integration", "integration_graph"): lambda: "",
     }
     for (name, builder), key in keys.items():
         module = import_module(f"torch_orennayar.export.{name}_graph")

@@ -3,40 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from ..geometry.primitives import Ball
-from ..geometry.smooth_integration import (
-    LEVELS,
-    STEPS,
-    Advance,
-    Begin,
-    Centre,
-    Coarsen,
-    Correct,
-    Smooth,
-    Spread,
-    integrate_smooth,
-)
-from .nodes import Nodes, TraceError, as_model, inline, repeated, trace
+from ..geometry.smooth_integration import LEVELS, STEPS, integrate_smooth
+from .nodes import Nodes, as_model, inline, repeated
 from .task import ExportTask
+from .traced_steps import load_step
 
 if TYPE_CHECKING:
     import onnx
 
 INPUTS = ("normal", "mask")
 """Names of the graph's inputs."""
-STATE = ("depth", "residual", "direction", "before")
-"""What `Advance` replaces in every step."""
-INTEGRATION_ERROR = TraceError(
-    "integration",
-    "a graph that torch.onnx can write",
-    "report this with the versions that `orennayar info` prints",
-)
-"""Where the exporter fails on our own steps."""
 
 
 def integration_task() -> ExportTask:
@@ -62,36 +43,34 @@ def integration_graph() -> onnx.ModelProto:
     from onnx import TensorProto, helper, numpy_helper
 
     add, initializers = Nodes(""), list["onnx.TensorProto"]()
-    begin, coarsen = _traced(Begin(), ("normal", "mask"), 2), _traced(Coarsen(), ("weight",), 1)
-    smooth, spread = _traced(Smooth(), ("weight", "residual"), 2), _traced(Spread(), ("coarse",), 1)
-    correct = _traced(Correct(), ("weight", "residual", "depth", "found"), 1)
-    advance = _traced(Advance(), ("weight", *STATE, "guess"), 4)
+    names = ("begin", "coarsen", "smooth", "spread", "correct", "advance", "centre")
+    step_of = {name: load_step(f"integration_{name}").graph for name in names}
 
-    def copy(traced: onnx.GraphProto, prefix: str, inputs: Sequence[str], to: Nodes = add) -> list[str]:
-        names = (value.name for value in traced.input)
-        outputs, constants = inline(to, traced, prefix, dict(zip(names, inputs, strict=True)))
+    def copy(name: str, prefix: str, inputs: Sequence[str], to: Nodes = add) -> list[str]:
+        step = step_of[name]
+        outputs, constants = inline(to, step, prefix, dict(zip((v.name for v in step.input), inputs, strict=True)))
         initializers.extend(constants)
         return outputs
 
-    weight, residual = copy(begin, "begin_", INPUTS)
+    weight, residual = copy("begin", "begin_", INPUTS)
     weights = [weight]
     for level in range(1, LEVELS):
-        weights += copy(coarsen, f"grid_{level}_", weights[-1:])
+        weights += copy("coarsen", f"grid_{level}_", weights[-1:])
 
     def cycle(inner: Nodes, level: int, residual: str) -> str:
-        depth, left = copy(smooth, f"smooth_{level}_", (weights[level], residual), inner)
+        depth, left = copy("smooth", f"smooth_{level}_", (weights[level], residual), inner)
         if level == LEVELS - 1:
             return depth
-        (wide,) = copy(spread, f"spread_{level}_", (cycle(inner, level + 1, left),), inner)
+        (wide,) = copy("spread", f"spread_{level}_", (cycle(inner, level + 1, left),), inner)
         found = inner("Slice", wide, "origin", inner("Shape", depth), "axes")
-        return copy(correct, f"correct_{level}_", (weights[level], residual, depth, found), inner)[0]
+        return copy("correct", f"correct_{level}_", (weights[level], residual, depth, found), inner)[0]
 
     def step(inner: Nodes, *state: str) -> list[str]:
-        return copy(advance, "advance_", (weight, *state, cycle(inner, 0, state[1])), inner)
+        return copy("advance", "advance_", (weight, *state, cycle(inner, 0, state[1])), inner)
 
     nothing, one = add("Mul", residual, "float_zero"), "float_one"
     depth, *_ = repeated(add, "steps", "step_", (nothing, residual, nothing, one), step)
-    (centred,) = copy(_traced(Centre(), ("depth", "mask"), 1), "centre_", (depth, "mask"))
+    (centred,) = copy("centre", "centre_", (depth, "mask"))
     add.nodes.append(helper.make_node("Identity", [centred], ["depth"], name="output_depth"))
     constants: dict[str, object] = {
         "steps": STEPS,
@@ -108,22 +87,6 @@ def integration_graph() -> onnx.ModelProto:
     ]
     output = helper.make_tensor_value_info("depth", TensorProto.FLOAT, [1, *area])
     return as_model(helper.make_graph(add.nodes, "integration", inputs, [output], initializers))
-
-
-def _traced(module: nn.Module, inputs: Sequence[str], outputs: int) -> onnx.GraphProto:
-    """The graph of a step that takes the inputs called ``inputs``; heights and widths are dynamic."""
-    names = ("residual", "depth", "direction", "guess", "found", "coarse")
-    examples = {name: torch.rand(1, 12, 10) for name in names} | {
-        "normal": torch.rand(3, 12, 10),
-        "mask": torch.ones(1, 12, 10, dtype=torch.bool),
-        "weight": torch.rand(2, 12, 10),
-        "before": torch.ones(1, 1, 1),
-    }
-    area: dict[int, Any] = {1: torch.export.Dim("height"), 2: torch.export.Dim("width")}
-    sizes = tuple({} if name == "before" else area for name in inputs)
-    example = tuple(examples[name] for name in inputs)
-    found = [f"found_{k}" for k in range(outputs)]
-    return trace(lambda: module, example, inputs, found, sizes, INTEGRATION_ERROR).graph
 
 
 def integration_trials() -> list[tuple[Tensor, ...]]:

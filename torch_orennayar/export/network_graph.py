@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 
 from torch import Tensor
 
-from ..stereo.closed_form import Prepare
-from ..stereo.network_solver import CHUNK, NETWORK, TRAINED_LIGHTS, Paint, Smooth, solve_network
+from ..stereo.network_solver import CHUNK, NETWORK, TRAINED_LIGHTS, solve_network
 from ..stereo.set_network import load_network
 from .nodes import Nodes
 from .pixel_graph import CAPTURE_METADATA, INPUTS, PixelGraph, capture_trials
 from .task import ExportTask
+from .traced_steps import load_step
 
 if TYPE_CHECKING:
     import onnx
@@ -45,14 +45,12 @@ def network_graph() -> onnx.ModelProto:
         TRAINED_LIGHTS,
     )
     add = graph.add
-    grey, _ = graph.inline(graph.trace(Prepare(), ("seen",), 2), "prepare_", (graph.observations,))
+    grey, _ = graph.inline(load_step("prepare"), "prepare_", (graph.observations,))
     normal, error = _predict_in_chunks(graph, grey)
     error_map = add("Min", graph.scatter(error), "right_angle")
-    smooth = graph.trace(Smooth(), ("normal_map", "error_map"), 1)
-    (smoothed,) = graph.inline(smooth, "smooth_", (graph.scatter(normal), error_map))
+    (smoothed,) = graph.inline(load_step("smooth_normals"), "smooth_", (graph.scatter(normal), error_map))
     normal_map = add("Where", "mask", smoothed, "float_zero")
-    paint = graph.trace(Paint(), ("seen", "lights", "vector"), 2)
-    albedo, _ = graph.inline(paint, "paint_", (graph.observations, graph.lights, graph.gather(normal_map)))
+    albedo, _ = graph.inline(load_step("paint"), "paint_", (graph.observations, graph.lights, graph.gather(normal_map)))
     return graph.finish({
         "normal": (normal_map, 3),
         "albedo": (graph.scatter(albedo), "channels"),
@@ -76,7 +74,7 @@ def _predict_in_chunks(graph: PixelGraph, grey: str) -> tuple[str, str]:
     filled = add("Gather", grey, add("Min", every, add("Sub", pixels, "one")))
     chunks = add("Reshape", filled, add("Concat", number, rows, count, axis=0))
     inner = Nodes("read_")
-    network = graph.trace(load_network(), ("grey", "lights"), 2)
+    network = load_step("network", load_network().state_dict())
     predicted = graph.inline(network, "network_", ("one_chunk", graph.lights), inner)
 
     def floats(name: str) -> onnx.ValueInfoProto:

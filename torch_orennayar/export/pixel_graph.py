@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import torch
-import torch.nn.functional as F
-from torch import Tensor, nn
+from torch import Tensor
 
 from ..geometry.primitives import Ball, spiral_lights
 from ..shading.functional import oren_nayar
-from ..stereo.closed_form import Clean
-from .nodes import REFLECTANCE_ERROR, Nodes, as_model, inline, trace
+from .nodes import Nodes, as_model, inline
+from .traced_steps import load_step
 
 if TYPE_CHECKING:
     import onnx
@@ -70,9 +69,7 @@ class PixelGraph:
         self._positions = add("Squeeze", add("NonZero", self._inside), "zero")
         inside = add("Gather", add("Reshape", "images", "keep_two"), self._positions, axis=2)
         seen = add("Transpose", inside, perm=[2, 1, 0])
-        self.observations, self.lights = self.inline(
-            self.trace(Clean(), ("seen", "lights"), 2), "clean_", (seen, "lights")
-        )
+        self.observations, self.lights = self.inline(load_step("clean"), "clean_", (seen, "lights"))
         self._pixel_of_position = ""
 
     def _refuse(self, name: str, count: str, index: str) -> str:
@@ -85,39 +82,6 @@ class PixelGraph:
         numbers = self.add("Range", "axis", count, "step")
         self.add.nodes.append(helper.make_node("Gather", [numbers, index], [name], name=name))
         return self.add("Sub", name, index)
-
-    def trace(self, module: nn.Module, names: Sequence[str], outputs: int, rows: int | None = None) -> onnx.ModelProto:
-        """The graph of a module that takes the inputs called ``names``.
-
-        Pixels, channels and lights are dynamic; if every call has ``rows`` pixels, their number is not.
-        """
-        pixels, channels, count, height, width = (
-            torch.export.Dim(n) for n in ("pixels", "channels", "count", "height", "width")
-        )
-        lights = F.normalize(torch.rand(7, 3) + torch.tensor([0.0, 0, 1]), dim=1)
-        row: dict[int, Any] = {} if rows else {0: pixels}
-        number, area = rows or 11, {1: height, 2: width}
-        examples: dict[str, tuple[Tensor, dict[int, Any]]] = {
-            "seen": (torch.rand(number, 3, 7), row | {1: channels, 2: count}),
-            "lights": (lights, {0: count}),
-            "vector": (torch.rand(number, 3), row),
-            "normal_map": (torch.rand(3, 9, 8), area),
-            "error_map": (torch.rand(1, 9, 8), area),
-            **{n: (torch.rand(number, 7), row | {1: count}) for n in ("grey", "middle", "weight")},
-            "level": (torch.rand(number, 1), row),
-            "ci": (torch.rand(number, 1, 1, 7), row | {3: count}),
-            "co": (torch.rand(number, 1, 1, 1), row),
-            "albedo": (torch.rand(number, 3, 1, 1), row | {1: channels}),
-            "value": (torch.rand(number, 3, 1, 7), row | {1: channels, 3: count}),
-        }
-        return trace(
-            module.eval,
-            tuple(examples[n][0] for n in names),
-            names,
-            [f"found_{k}" for k in range(outputs)],
-            tuple(examples[n][1] for n in names),
-            REFLECTANCE_ERROR,
-        )
 
     def inline(
         self, traced: onnx.ModelProto, prefix: str, inputs: Sequence[str], add: Nodes | None = None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import torch
@@ -19,6 +18,7 @@ from .formula import Shading, trace_formula
 from .nodes import Nodes, as_model, inline
 from .shading_graph import shading_metadata
 from .task import ExportTask
+from .traced_steps import load_step
 
 if TYPE_CHECKING:
     import onnx
@@ -33,9 +33,6 @@ VIEW: tuple[str, ...] = (*CAMERA, "size")
 """Names of the inputs that are part of the file unless the view is an input."""
 SHADING: tuple[str, ...] = ("light", "albedo", "roughness")
 """Names of the inputs that shading adds."""
-GRAPHS = {kind: Path(__file__).with_name(f"renderer_{kind}.onnx") for kind in ("perspective", "orthographic")}
-"""`view_maps` as ONNX graphs, whose inputs are `MESH`, `VIEW` and, in perspective, ``near``; tracing takes a minute and
-is done by ``scripts/fit/trace_renderer.py``."""
 
 
 def view_maps(vertices: Tensor, faces: Tensor, camera: Camera, size: tuple[int, int]) -> tuple[Tensor, ...]:
@@ -123,10 +120,9 @@ def renderer_graph(camera: Camera, model: str | None, view: list[Tensor] | None)
         model: the model to shade with, or None.
         view: values of `VIEW` to store in the graph, or None where they are inputs.
     """
-    import onnx
     from onnx.utils import Extractor
 
-    shipped = onnx.load(GRAPHS["perspective" if camera.is_perspective else "orthographic"])
+    shipped = load_step("renderer_perspective" if camera.is_perspective else "renderer_orthographic")
     if camera.is_perspective:
         _store(shipped.graph, {"near": torch.tensor(camera.near, dtype=torch.float64)})
     if model is not None:

@@ -8,25 +8,12 @@ from typing import TYPE_CHECKING
 from torch import Tensor
 
 from ..reflectance.models import get_model
-from ..stereo.closed_form import (
-    CANDIDATES,
-    REFITS,
-    SAMPLES,
-    TURNS,
-    Angles,
-    Begin,
-    Choose,
-    Expect,
-    Prepare,
-    Refit,
-    Sample,
-    Update,
-    solve_closed_form,
-)
+from ..stereo.closed_form import CANDIDATES, REFITS, TURNS, solve_closed_form
 from .formula import Value, trace_formula
 from .nodes import Nodes, repeated
 from .pixel_graph import CAPTURE_METADATA, INPUTS, PixelGraph, capture_trials
 from .task import ExportTask
+from .traced_steps import load_step
 
 if TYPE_CHECKING:
     import onnx
@@ -35,8 +22,6 @@ OUTPUTS: dict[str, int | str] = {"normal": 3, "albedo": "channels", "roughness":
 """Names of the graph's outputs with their number of channels, as `solve_closed_form` orders them."""
 FEWEST_LIGHTS = 3
 """Unknowns of a pixel: the graph refuses fewer lights."""
-EVALUATED = ("ci", "co", "albedo", "value")
-"""Inputs of the steps that know what the model said: two cosines, the albedo and the value."""
 
 
 def stereo_task(model: str) -> ExportTask:
@@ -66,9 +51,7 @@ def stereo_graph(model: str) -> onnx.ModelProto:
     """The graph: pixels of the mask are gathered, solved step by step and scattered again; all axes are dynamic."""
     graph = PixelGraph({"turns": TURNS, "last_axes": [2, 3]}, FEWEST_LIGHTS)
     value = trace_formula(Value(get_model(model).function))
-    begin = graph.trace(Begin(), ("grey", "lights"), 2)
-    angles = graph.trace(Angles(), ("vector", "level", "lights"), 5)
-    update = graph.trace(Update(), ("grey", "lights", "middle", "vector", *EVALUATED), 2)
+    begin, angles, update = load_step("begin"), load_step("angles"), load_step("update")
 
     def evaluate(vector: str, level: str, roughness: str, prefix: str, inner: Nodes | None = None) -> list[str]:
         """Names of the normal, the cosines, the albedo and the model's value."""
@@ -86,22 +69,20 @@ def stereo_graph(model: str) -> onnx.ModelProto:
         # The weights need initial values: the trimming weights have the right shape.
         return repeated(graph.add, "turns", f"{prefix}turn_", (vector, middle), turn)
 
-    grey, level = graph.inline(graph.trace(Prepare(), ("seen",), 2), "prepare_", (graph.observations,))
+    grey, level = graph.inline(load_step("prepare"), "prepare_", (graph.observations,))
     roughness = graph.add("Mul", level, "float_zero")
     if model != "lambert":
-        few, few_level, tried = graph.inline(graph.trace(Sample(), ("grey", "level"), 3), "sample_", (grey, level))
+        few, few_level, tried = graph.inline(load_step("sample"), "sample_", (grey, level))
         tried = graph.add("Unsqueeze", tried, "last_axes")
         vector, _ = solve(few, few_level, tried, "few_")
         _, ci, co, _, albedo, shown = evaluate(vector, few_level, tried, "few_chosen_")
-        choose = graph.trace(Choose(), ("grey", "lights", "vector", *EVALUATED), 1, len(CANDIDATES) * SAMPLES)
-        (best,) = graph.inline(choose, "choose_", (few, graph.lights, vector, ci, co, albedo, shown))
+        (best,) = graph.inline(load_step("choose"), "choose_", (few, graph.lights, vector, ci, co, albedo, shown))
         roughness = graph.add("Add", roughness, best)
     every = graph.add("Unsqueeze", roughness, "last_axes")
     vector, weight = solve(grey, level, every, "")
     normal, ci, co, lv, albedo, shown = evaluate(vector, level, every, "solved_")
-    expect = graph.trace(Expect(), ("grey", "lights", "vector", "weight", *EVALUATED), 1)
-    (error,) = graph.inline(expect, "expect_", (grey, graph.lights, vector, weight, ci, co, albedo, shown))
-    refit = graph.trace(Refit(), ("seen", "weight", *EVALUATED), 2)
+    (error,) = graph.inline(load_step("expect"), "expect_", (grey, graph.lights, vector, weight, ci, co, albedo, shown))
+    refit = load_step("refit")
     paint = albedo
     for step in range(REFITS):
         if step:
