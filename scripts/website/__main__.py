@@ -10,6 +10,7 @@ import shutil
 import subprocess
 import sys
 
+from scripts.benchmarks import history
 from scripts.benchmarks.record import ROOT
 from scripts.website import commands, links, models, pages, reference
 
@@ -25,6 +26,7 @@ def main(options: list[str]) -> None:
     reference.write(SOURCE / "reference")
     commands.write(SOURCE / "commands.md")
     models.write(SOURCE / "models")
+    history.write(SOURCE)
     command = [sys.executable, "-m", "sphinx", "-c", "scripts/website", "-W", "--keep-going", "--quiet", *options]
     # The gallery's warnings would show with the paths of this machine; the reports that it prints say the same.
     environment = {**os.environ, "MPLBACKEND": "agg", "PYTHONWARNINGS": "ignore::UserWarning"}

@@ -32,7 +32,7 @@ DOCUMENTS = {
 MENU = {
     "Guides": [f"guides/{name}" for name in GUIDES],
     "Reference": ["reference/index", "commands", "models/index", "gallery/index"],
-    "Project": ["measurements", "changelog", "contributing", "security"],
+    "Project": ["measurements", "history", "changelog", "contributing", "security"],
 }
 """Captions of the menu and their pages."""
 PICTURES = {".png", ".gif", ".jpg", ".svg"}

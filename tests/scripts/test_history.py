@@ -26,3 +26,12 @@ def test_charts_are_drawn(tmp_path: Path) -> None:
         {history.FIGURES[0]: {"v0.1.0": 1.0, "": 1.2}, history.FIGURES[1]: {"": 2.0}}, tmp_path / "history.png"
     )
     assert (tmp_path / "history.png").stat().st_size > 1000
+
+
+def test_the_page_marks_what_got_worse(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    error, seconds = history.FIGURES[0], history.FIGURES[6]
+    monkeypatch.setattr(history, "collect", lambda: {error: {"v0.1.0": 1.0, "": 1.2}, seconds: {"v0.1.0": 1, "": 1.2}})
+    history.write(tmp_path)
+    lines = (tmp_path / "history.md").read_text().splitlines()
+    assert [f"| {history.WORSE} |" in line for line in lines if line.startswith("| `")] == [True, False]
+    assert "![The figures over time](history.png)" in lines
