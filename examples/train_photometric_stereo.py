@@ -12,8 +12,9 @@ The weights that ship were trained by four processes on one GPU:
         --workers 2 --threads 1
 
 Every step draws its samples by index, so that any number of processes sees the same batch; gradients are averaged.
-When killed, training resumes from the last checkpoint and ends with the same weights. Writes network.pt (half
-precision, weights averaged over steps), checkpoint.pt and curve.csv.
+When killed, training resumes from the last checkpoint and ends with the same weights, by itself with
+`torchrun --max-restarts 3`. Writes network.pt (half precision, weights averaged over steps), checkpoint.pt and
+curve.csv.
 """
 
 from __future__ import annotations
@@ -68,12 +69,13 @@ class Training:
         share = torch.tensor((step - WARM_UP) / max(1, self.options.steps - WARM_UP))
         return float(LAST_RATE + (1 - LAST_RATE) / 2 * (1 + torch.cos(torch.pi * share.clamp_max(1))))
 
-    def run_step(self, samples: Iterator[ton.SyntheticPixels], world: int) -> Tensor:
-        """One step on this process's share of the samples; mean loss and error in degrees over all processes, (2,)."""
+    def run_step(self, samples: Iterator[ton.SyntheticPixels], share: int, world: int) -> Tensor:
+        """One step on this process's ``share`` of the samples; mean loss and degrees over all processes, (2,)."""
         groups = self.options.groups
-        self.optimiser.zero_grad()
+        for parameter in self.network.parameters():
+            parameter.grad = torch.zeros_like(parameter)  # where a process has no share of a step
         sums = torch.zeros(2, device=self.device)
-        for _ in range(groups // world):
+        for _ in range(share):
             sample = next(samples)
             observed, lights, normal = (
                 t.to(self.device) for t in (sample["observed"], sample["lights"], sample["normal"])
@@ -95,7 +97,7 @@ class Training:
 
     def _sum_over_processes(self, sums: Tensor) -> Tensor:
         """Sum the gradients and ``sums`` over all processes, in one message."""
-        gradients = [p.grad for p in self.network.parameters() if p.grad is not None]
+        gradients = [p.grad for p in self.network.parameters() if p.grad is not None]  # all of them, see run_step
         flat = torch.cat([sums, *(g.flatten() for g in gradients)])
         dist.all_reduce(flat)
         place = len(sums)
@@ -193,6 +195,16 @@ def processes_here() -> int:
     return int(os.environ.get("LOCAL_WORLD_SIZE", "1"))
 
 
+def meeting_place() -> Any:
+    """Where the processes find each other; torchrun keeps its own, with old addresses, when it starts them again."""
+    kept = os.environ.get("TORCHELASTIC_USE_AGENT_STORE") == "True"
+    master = not kept and os.environ["RANK"] == "0"
+    place = os.environ["MASTER_ADDR"], int(os.environ["MASTER_PORT"])
+    store = dist.TCPStore(*place, is_master=master)  # type: ignore[attr-defined]
+    start = os.environ.get("TORCHELASTIC_RESTART_COUNT", "0")
+    return dist.PrefixStore(f"start {start}", store)  # type: ignore[attr-defined]
+
+
 @contextmanager
 def processes(device: str) -> Iterator[tuple[int, int]]:
     """Rank and number of processes; a process group where torchrun started them, also of several to a GPU."""
@@ -200,7 +212,8 @@ def processes(device: str) -> Iterator[tuple[int, int]]:
         yield 0, 1
         return
     gpu_each = device == "cuda" and processes_here() <= torch.cuda.device_count()
-    dist.init_process_group("nccl" if gpu_each else "gloo")
+    rank, world = int(os.environ["RANK"]), int(os.environ["WORLD_SIZE"])
+    dist.init_process_group("nccl" if gpu_each else "gloo", store=meeting_place(), rank=rank, world_size=world)
     try:
         yield dist.get_rank(), dist.get_world_size()
     finally:
@@ -212,8 +225,6 @@ def train(options: argparse.Namespace) -> Training:
     folder: Path = options.output
     folder.mkdir(parents=True, exist_ok=True)
     with processes(options.device) as (rank, world):
-        if options.groups % world:
-            raise SystemExit(f"--groups {options.groups} cannot be shared evenly by {world} processes")
         if options.device == "cuda":
             torch.cuda.set_device(int(os.environ.get("LOCAL_RANK", "0")) % torch.cuda.device_count())
         training = Training(options)
@@ -228,11 +239,14 @@ def train(options: argparse.Namespace) -> Training:
         if options.workers and training.step < options.steps:
             source.render_scenes(options.workers)
         samples = iter(DataLoader(source, batch_size=None, num_workers=options.workers))
+        begin = source.start + rank  # the data source deals its samples out one by one
         begun, spent = time.perf_counter(), time.process_time()
         kept = [row for row in read_curve(folder / "curve.csv") if int(row[0]) <= training.step]
         means: list[Tensor] = []
         while training.step < options.steps:
-            means.append(training.run_step(samples, world))
+            first = training.step * options.groups
+            share = len(range(first + (begin - first) % world, first + options.groups, world))
+            means.append(training.run_step(samples, share, world))
             if training.step % options.every and training.step < options.steps:
                 continue
             loss, degrees = torch.stack(means).double().mean(0).tolist()

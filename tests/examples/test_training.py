@@ -10,6 +10,7 @@ import sys
 import time
 from pathlib import Path
 
+import psutil
 import pytest
 import torch
 
@@ -133,19 +134,27 @@ def test_training_learns(tmp_path: Path) -> None:
     assert losses[-1] < 0.9 * losses[0]
 
 
-def test_groups_that_processes_cannot_share(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    example = load("train_photometric_stereo")
-    options = example.parse([*SMALL, "--groups", "3", "-o", str(tmp_path)])
-
-    class Two:
-        def __enter__(self) -> tuple[int, int]:
-            return 0, 2
-
-        def __exit__(self, *_: object) -> None: ...
-
-    monkeypatch.setattr(example, "processes", lambda device: Two())
-    with pytest.raises(SystemExit, match="cannot be shared"):
-        example.train(options)
+@pytest.mark.slow
+def test_three_processes_share_two_samples_and_outlive_the_death_of_one(tmp_path: Path, whole: Path) -> None:
+    """The world does not divide the batch, one process is killed, and torchrun starts all three again."""
+    launcher = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "3", "--max-restarts", "1"]
+    process = subprocess.Popen(
+        [sys.executable, *launcher, *command(tmp_path, 12, 4)],
+        stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, env=os.environ | {"OMP_NUM_THREADS": "1"},
+    )  # fmt: skip
+    begun = time.monotonic()
+    while not (tmp_path / "checkpoint.pt").exists():
+        assert process.poll() is None
+        assert time.monotonic() - begun < 120
+        time.sleep(0.01)
+    psutil.Process(process.pid).children()[-1].kill()
+    said, _ = process.communicate(timeout=120)
+    assert process.returncode == 0
+    assert said.count("going on from step") == 3
+    for together, alone in zip(curve(tmp_path), curve(whole), strict=True):
+        assert together[0] == alone[0]
+        assert together[1] == pytest.approx(alone[1], abs=1e-5)
+        assert together[2] == pytest.approx(alone[2], abs=2e-3)
 
 
 @pytest.mark.slow
