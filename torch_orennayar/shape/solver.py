@@ -159,13 +159,13 @@ def _solve(
     inflated = contour and picture.depth is None
     height = _start_height(picture.depth, mask, window, camera, contour)
     scene = build_scene(picture, inside, window, camera, Prior(normals(height, None, 1.0), None) if inflated else None)
-    about_prior: list[Finding] = []
-    if inflated and prior == "learned":
-        scene, about_prior = with_learned_prior(scene, albedo_unknown=picture.albedo is None)
     findings = []
     if model == "auto":
         model, finding = _choose_model(scene, picture)
         findings.append(finding)
+    about_prior: list[Finding] = []
+    if inflated and prior == "learned":
+        scene, about_prior = with_learned_prior(scene, model, albedo_unknown=picture.albedo is None)
     settings = FitSettings(
         model,
         contour,
