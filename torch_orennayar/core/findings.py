@@ -60,7 +60,7 @@ CODES: dict[str, str] = {
     "lights-close-together": "condition number of the light directions",
     # shape from shading
     "network-start": "normals that a network read were the start; value: the error that it expects, degrees",
-    "outline-trusted": "the inflated silhouette was the start: it explains the picture better than what the network reads",
+    "outline-trusted": "the inflated silhouette was the start: it explains the picture better than the network",
     "inside-out": "the same surface with dents for bumps explains the picture about as well",
     "light-near-view": "the light is so near to the view that dents and bumps look alike",
     "albedo-estimated": "albedo estimated from one picture",
