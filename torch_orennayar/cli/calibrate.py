@@ -67,6 +67,6 @@ def _find(given: Ball | None, images: Tensor, mask: Tensor | None, *, mirror: bo
     elif mask is not None and not bool(mask.all()):
         ball = find_ball(mask)
     else:
-        ball = find_mirror_ball(images).ball if mirror else find_circle(images)
+        ball = find_mirror_ball(images) if mirror else find_circle(images)
     typer.echo(f"ball at column {ball.x:.1f}, row {ball.y:.1f}, radius {ball.radius:.1f} pixels")
     return ball

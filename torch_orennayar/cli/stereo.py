@@ -12,7 +12,6 @@ import typer
 
 from ..core.errors import RangeError
 from ..core.files import check_output
-from .capture_options import load_from_options
 from .options import (
     Animation,
     BallMask,
@@ -34,6 +33,7 @@ from .options import (
     Seed,
     StereoModel,
     UnitOption,
+    parse_vector,
 )
 
 if TYPE_CHECKING:
@@ -72,6 +72,7 @@ def stereo(
     seed: Seed = 0,
 ) -> None:
     """Photographs under several lights in; normals, albedo, roughness, depth and a mesh out."""
+    from ..io.capture import load_capture
     from ..io.contact_sheet import thumbnails
     from ..io.light_positions import MILLIMETRES
     from ..io.results import RECONSTRUCTION_FILES, write_reconstruction
@@ -83,9 +84,11 @@ def stereo(
     distance = None if distance is None else distance * MILLIMETRES[unit or ""]
     check_output(output, RECONSTRUCTION_FILES)
     begun = time.perf_counter()
-    loaded = load_from_options(
-        capture, lights=lights, mask=mask, chrome=chrome, positions=positions, ambient=ambient, encoding=encoding,
-        ball=ball, ball_mask=ball_mask, crop=crop, scale=scale, unit=unit,
+    loaded = load_capture(
+        capture, lights=lights, mask="whole" if str(mask) == "whole" else mask, chrome=chrome, positions=positions,
+        ambient=ambient, encoding=encoding, scale=scale, unit=unit, ball_mask=ball_mask,
+        ball=None if ball is None else parse_vector("--ball", ball, "320,240,55"),
+        crop=None if crop is None else [round(n) for n in parse_vector("--crop", crop, "100,50,800,600")],
     )  # fmt: skip
     loaded = loaded.with_own_intensities(seed=seed) if own_intensities else loaded
     ready = time.perf_counter()

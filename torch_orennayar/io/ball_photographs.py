@@ -59,7 +59,7 @@ def lights_of_ball(images: Tensor, ball: Ball | None, where: str = "") -> BallLi
         CaptureError: no ball, or a photograph without a highlight on it.
     """
     how = "marked" if ball is not None else "found"
-    ball = ball if ball is not None else find_mirror_ball(images).ball
+    ball = ball if ball is not None else find_mirror_ball(images)
     directions = light_directions(images, ball)
     place = f"column {ball.x:.1f}, row {ball.y:.1f}, radius {ball.radius:.1f} pixels"
     text = f"lights from the highlights of a mirror ball {how}{where} at {place}."

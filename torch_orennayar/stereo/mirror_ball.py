@@ -57,25 +57,14 @@ SEARCH_RADIUS, FINE_RADIUS = 250, 150
 """Pixels of the largest radius when the outline is searched, and of its own radius when it is measured."""
 
 
-class MirrorBall(NamedTuple):
-    """What `find_mirror_ball` found.
-
-    Attributes:
-        ball: its outline in pixels of the photographs.
-        highlights: (K, 2) column and row of each light's highlight, about.
-        support: share of the outline that shows a step of brightness, in [0, 1].
-    """
-
-    ball: Ball
-    highlights: Doubles
-    support: float
-
-
-def find_mirror_ball(images: Tensor) -> MirrorBall:
+def find_mirror_ball(images: Tensor) -> Ball:
     """A mirror ball somewhere in photographs under several lights, beside an object or alone.
 
     Args:
         images: (K, C, H, W) linear light, one light each, K >= 3.
+
+    Returns:
+        Its outline in pixels of the photographs.
 
     Raises:
         CaptureError: no ball: no bright spots that move with the light on one disc, or no outline around them.
@@ -103,7 +92,7 @@ def find_mirror_ball(images: Tensor) -> MirrorBall:
             mend=mend,
         )
     if scale == 1 and outline.zoom == 1:  # searched at the photographs' own size
-        return MirrorBall(Ball(circle.x, circle.y, circle.radius), places, circle.support)
+        return Ball(circle.x, circle.y, circle.radius)
     places = _unshrink(places, scale)
     x, y = _unshrink(np.array((circle.x, circle.y)), scale)
     return _measured(images, Ball(float(x), float(y), circle.radius * scale), places)
@@ -306,7 +295,7 @@ def _middle(values: Doubles, k: int) -> float:
     return float((weight * np.arange(low - k, high + 1 - k)).sum() / weight.sum())
 
 
-def _measured(images: Tensor, ball: Ball, places: Doubles) -> MirrorBall:
+def _measured(images: Tensor, ball: Ball, places: Doubles) -> Ball:
     """The ball's outline in the whole photographs."""
     half = 1.4 * ball.radius
     x0, y0 = max(int(ball.x - half), 0), max(int(ball.y - half), 0)
@@ -315,4 +304,4 @@ def _measured(images: Tensor, ball: Ball, places: Doubles) -> MirrorBall:
     zoom = min(1.0, FINE_RADIUS / ball.radius)
     outline = _Outline.cut(part, inside, np.array((moved.x, moved.y)), 2 * half, half, zoom)
     circle = outline.measure(moved)
-    return MirrorBall(Ball(circle.x + x0, circle.y + y0, circle.radius), places, circle.support)
+    return Ball(circle.x + x0, circle.y + y0, circle.radius)
