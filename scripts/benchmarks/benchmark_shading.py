@@ -6,9 +6,8 @@ Compiled: over the memory floor, a compiled kernel that reads and writes the sam
 for a picture that may fit in a processor's cache and for one of 16 times as many pixels. Eager: over the classic model
 in angles as course notes have it (`acos`), which is measured on pictures in planes, as image tensors are, and on arrays
 with x, y, z last. Memory: the peak of a fresh process over what it held before the call (Linux). ONNX Runtime: over
-eager torch on the same threads, one after the other, since its idle threads spin. Half precision: over float32. A GPU,
-if there is one: bytes per second over those of a copy. Medians of interleaved runs, with the smallest and largest.
-Recorded in results/benchmark_shading.json.
+eager torch on the same threads, one after the other, since its idle threads spin. Half precision: over float32. Medians
+of interleaved runs, with the smallest and largest. Recorded in results/benchmark_shading.json. A GPU: gpu.py.
 """
 
 from __future__ import annotations
@@ -179,16 +178,6 @@ def half(size: int, runs: int) -> Table:
     return found
 
 
-def gpu(size: int, runs: int) -> Table:
-    """Bytes per second of the compiled layer over those of a copy on the GPU."""
-    parts = scene(size, device="cuda")
-    calls: dict[str, Call] = {n: forward(torch.compile(model(n), fullgraph=True), parts) for n in CLOSED}
-    block = torch.empty(3, size, size, device="cuda")  # read and written: as many bytes as five maps in and one out
-    calls["copy"] = block.clone
-    times = interleave(calls, 10 * runs, "GPU", warm=10)
-    return {"GPU, compiled: bytes per second over a copy's": {n: ratio(times, "copy", n) for n in CLOSED}}
-
-
 def show(results: Table) -> None:
     """Print the ratios beside their targets."""
     for kind, row in results.items():
@@ -209,9 +198,6 @@ def main() -> None:
     for measure in (compiled, eager, half, onnx):
         results |= measure(size, runs)
     results |= compiled(4 * size, max(runs // 4, 3))  # larger than any cache
-    device = "cuda" if torch.cuda.is_available() else "cpu"
-    if device == "cuda":
-        results |= gpu(4 * size, runs)
     print(f"{size} x {size}, {torch.get_num_threads()} threads, torch {torch.__version__}: median (least to most)")
     show(results)
     peaks = memory(size)
@@ -226,7 +212,7 @@ def main() -> None:
         },
         "memory": {"size": size, "MB": peaks},
     }
-    record("benchmark_shading", sections, quick=list(sections) if options.quick else [], device=device)
+    record("benchmark_shading", sections, quick=list(sections) if options.quick else [])
 
 
 if __name__ == "__main__":
