@@ -59,7 +59,7 @@ def test_equations_are_those_of_all_unknowns_together(material: Material) -> Non
     """The dense matrix by central differences, with the pixels eliminated."""
     grey, _, lights = photographs(material, 12, 7)
     brightness = torch.linspace(0.9, 1.1, 12, dtype=torch.float64)
-    observed = Observed(grey, "lit", 0.2)
+    observed = Observed(grey, 0.2)
     guess = LightGuess(lights, brightness, material, observed.fit(lights, brightness, material, None, 3))
     pixels, mean = guess.pixels, mean_brightness(grey)
     sides, skew = tangents(lights), tangent_vectors(pixels.normal)
@@ -109,7 +109,7 @@ def test_wrong_lights_of_unknown_brightness_are_mended(material: Material) -> No
     wrong = F.normalize(stretched + 0.03 * torch.randn(24, 3, generator=generator).double(), dim=1)
     brightness = (0.2 * torch.randn(24, generator=generator).double()).exp()
     brightness = brightness / brightness.log().mean().exp()
-    observed = Observed(grey * brightness, "lit", 2.0)
+    observed = Observed(grey * brightness, 2.0)
     start = with_number(material, number_of(material) + 0.1)
     one = torch.ones_like(brightness)
     guess = LightGuess(wrong, one, start, observed.fit(wrong, one, start, None, 8))
@@ -128,11 +128,11 @@ def test_wrong_lights_of_unknown_brightness_are_mended(material: Material) -> No
 
 def test_a_lambertian_surface_leaves_the_brightness_open() -> None:
     grey, _, lights = photographs(Material(), 24, 500)
-    observed = Observed(grey, "lit", 2.0)
+    observed = Observed(grey, 2.0)
     one = torch.ones(24, dtype=torch.float64)
     guess = LightGuess(lights, one, Material(minnaert_exponent=1.01), observed.fit(lights, one, Material(), None, 8))
     stiff = 1e4 * torch.eye(3, dtype=torch.float64)
     open_error, _ = standard_errors(observed, guess, stiff)
-    closed_error, _ = standard_errors(Observed(grey, "lit", 0.02), guess, stiff)
+    closed_error, _ = standard_errors(Observed(grey, 0.02), guess, stiff)
     assert math.degrees(closed_error) < 3
     assert open_error > 3 * closed_error

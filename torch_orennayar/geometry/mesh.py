@@ -9,7 +9,6 @@ from torch.utils.weak import WeakIdKeyDictionary
 from ..core.checks import check_floating
 from ..core.errors import RangeError, ShapeError
 from ..core.warn import warn
-from .camera import Camera
 
 CHUNK = 1 << 14
 """Faces per step of `sum_normals`, which bounds the memory for temporaries: set by hand, 2.4 MB of corners."""
@@ -139,14 +138,12 @@ def normalise_mesh(vertices: Tensor) -> Tensor:
     return (vertices - (low + high) / 2) / radius.clamp_min(1e-12)
 
 
-def depth_to_mesh(depth: Tensor, mask: Tensor, camera: Camera | None = None) -> tuple[Tensor, Tensor, Tensor]:
+def depth_to_mesh(depth: Tensor, mask: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Triangulate a depth map: a vertex per pixel, two triangles between every four neighbouring pixels.
 
     Args:
-        depth: (1, H, W): without a camera the height toward the viewer in pixels, as `integrate_normals`
-            returns; with one the distance along its optical axis.
+        depth: (1, H, W) height toward the viewer in pixels, as `integrate_normals` returns.
         mask: (1, H, W) bool.
-        camera: the camera of the depth map, or None.
 
     Returns:
         ``(vertices, faces, pixels)``: (V, 3) float32 in the camera frame, (F, 3) int64, and (V,) the flat index of
@@ -160,11 +157,8 @@ def depth_to_mesh(depth: Tensor, mask: Tensor, camera: Camera | None = None) -> 
             "depth, mask", expected="(1, H, W) both", got=f"{tuple(depth.shape)}, {tuple(mask.shape)}", mend="reshape"
         )
     height, width = depth.shape[1:]
-    if camera is None:
-        row, column = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
-        points = torch.stack((column - (width - 1) / 2, (height - 1) / 2 - row, depth[0].cpu()))
-    else:
-        points = camera.points(depth[None])[0].cpu()
+    row, column = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
+    points = torch.stack((column - (width - 1) / 2, (height - 1) / 2 - row, depth[0].cpu()))
     inside = mask[0].cpu()
     index = torch.full((height, width), -1)
     index[inside] = torch.arange(int(inside.sum()))

@@ -25,13 +25,13 @@ def merge_points(mesh: Triangles) -> Triangles:
     points, faces = mesh.points[used], index[mesh.faces]
     low, high = points.min(0), points.max(0)
     size = float(np.linalg.norm(high - low)) or 1.0
-    _, first, same = _unique_rows(np.round((points - low) / (size * MERGE_DISTANCE)).astype(np.int64))
+    first, same = _unique_rows(np.round((points - low) / (size * MERGE_DISTANCE)).astype(np.int64))
     return mesh._replace(points=points[first], faces=same[faces])
 
 
 def drop_twins(mesh: Triangles) -> tuple[Triangles, int]:
     """Keep the first of the faces between the same three points, whichever way round; how many were dropped."""
-    _, first, _ = _unique_rows(np.sort(mesh.faces, axis=1))
+    first, _ = _unique_rows(np.sort(mesh.faces, axis=1))
     dropped = len(mesh.faces) - len(first)
     return (mesh if not dropped else _choose(mesh, first)), dropped
 
@@ -147,8 +147,8 @@ def _choose(mesh: Triangles, rows: Integers) -> Triangles:
     return Triangles(mesh.points, mesh.faces[rows], normals, None if mesh.groups is None else mesh.groups[rows])
 
 
-def _unique_rows(rows: Integers) -> tuple[Integers, Integers, Integers]:
-    """Distinct rows in the order of their first occurrence, its index, and the distinct row of every row."""
+def _unique_rows(rows: Integers) -> tuple[Integers, Integers]:
+    """Index of the first occurrence of each distinct row, ascending, and the distinct row of every row."""
     order = np.lexsort(rows.T[::-1])
     ordered = rows[order]
     opens = np.r_[True, (ordered[1:] != ordered[:-1]).any(1)] if len(rows) else np.zeros(0, bool)
@@ -158,8 +158,7 @@ def _unique_rows(rows: Integers) -> tuple[Integers, Integers, Integers]:
     rank[np.argsort(first)] = np.arange(len(first))
     same = np.empty(len(rows), np.int64)
     same[order] = rank[group]
-    first = np.sort(first)
-    return rows[first], first, same
+    return np.sort(first), same
 
 
 def _unit(vectors: Floats) -> Floats:

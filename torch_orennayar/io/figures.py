@@ -52,9 +52,7 @@ def _thinned(picture: Tensor) -> Tensor:
     return picture[:, ::step, ::step]
 
 
-def save_sheet(
-    path: PathLike, rows: Sequence[Mapping[str, Tensor]], *, labels: Sequence[str] = (), title: str = ""
-) -> Path:
+def save_sheet(path: PathLike, rows: Sequence[Mapping[str, Tensor]], *, labels: Sequence[str] = ()) -> Path:
     """Write a contact sheet: one row per mapping from caption to (3, H, W) colours; ``labels`` name the rows."""
     columns = max(len(row) for row in rows)
     figure, axes = _grid(len(rows), columns)
@@ -66,8 +64,6 @@ def save_sheet(
             axis.set_title(caption, fontsize=9)
     for label, line in zip(labels, axes, strict=False):
         line[0].text(-0.06, 0.5, label, transform=line[0].transAxes, rotation=90, va="center", ha="right", fontsize=9)
-    if title:
-        figure.suptitle(title, fontsize=11)
     return _save(figure, path)
 
 

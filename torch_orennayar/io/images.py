@@ -19,6 +19,8 @@ from .picture import read_picture
 
 ANIMATIONS = frozenset({".gif", ".mp4"})
 """Suffixes that `write_animation` writes."""
+FRAME_RATE = 12
+"""Frames a second of an animation; set by hand."""
 UNIT_LENGTHS = (0.5, 1.3)
 """Lengths between which a decoded colour is a normal: averaged ones are shorter than 1, grey has 0, white and black
 have 1.73. Set by hand."""
@@ -100,17 +102,15 @@ def picture_bytes(image: Tensor, suffix: str, *, bits: int = 8, name: str = "ima
     return bytes(data.tobytes())
 
 
-def write_animation(path: str | os.PathLike[str], frames: Sequence[Tensor], *, rate: int = 12) -> None:
+def write_animation(path: str | os.PathLike[str], frames: Sequence[Tensor]) -> None:
     """Write frames as a GIF that repeats, or as an MP4 video.
 
     Args:
         path: a .gif or .mp4 name; the file appears whole or not at all.
         frames: (1|3, H, W) floating-point in [0, 1] each; no sRGB curve is applied. MP4 needs even H and W.
-        rate: frames a second, 1 to 60.
 
     Raises:
         ShapeError: no frames, not floating-point (1|3, H, W), sizes that differ, or odd ones for MP4.
-        RangeError: another rate.
         FileError: another suffix, or the place cannot be written.
     """
     file = Path(path)
@@ -126,17 +126,15 @@ def write_animation(path: str | os.PathLike[str], frames: Sequence[Tensor], *, r
             got=str([f"{tuple(f.shape)} {f.dtype}" for f in frames[:3]]),
             mend="pad them" if odd else "divide bytes by 255; crop to one size",
         )
-    if not 1 <= rate <= 60:
-        raise RangeError("rate", expected="1 to 60 frames a second", got=str(rate), mend="use e.g. 12")
     pixels = [(f.detach().cpu().expand(3, -1, -1).clamp(0, 1) * 255).round().byte().permute(1, 2, 0) for f in frames]
     with atomic_path(file) as temporary:
         if file.suffix.lower() == ".gif":
-            _write_gif(temporary, pixels, rate)
+            _write_gif(temporary, pixels)
         else:
-            _write_mp4(temporary, pixels, rate)
+            _write_mp4(temporary, pixels)
 
 
-def _write_gif(path: Path, pixels: Sequence[Tensor], rate: int) -> None:
+def _write_gif(path: Path, pixels: Sequence[Tensor]) -> None:
     require("PIL")
     import PIL.Image
 
@@ -144,15 +142,15 @@ def _write_gif(path: Path, pixels: Sequence[Tensor], rate: int) -> None:
     step = max(1, round((len(pixels) * pixels[0][..., 0].numel() / GIF_PALETTE_PIXELS) ** 0.5))
     strip = PIL.Image.fromarray(torch.cat([p[::step, ::step] for p in pixels]).numpy()).quantize(256)
     pictures = [PIL.Image.fromarray(p.numpy()).quantize(palette=strip) for p in pixels]
-    pictures[0].save(path, save_all=True, append_images=pictures[1:], duration=round(1000 / rate), loop=0)
+    pictures[0].save(path, save_all=True, append_images=pictures[1:], duration=round(1000 / FRAME_RATE), loop=0)
 
 
-def _write_mp4(path: Path, pixels: Sequence[Tensor], rate: int) -> None:
+def _write_mp4(path: Path, pixels: Sequence[Tensor]) -> None:
     require("cv2")
     import cv2
 
     height, width = pixels[0].shape[:2]
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), rate, (width, height))
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), FRAME_RATE, (width, height))
     if not writer.isOpened():
         raise FileError(str(path), expected="an OpenCV that writes MP4", got="one that does not", mend="write a .gif")
     for picture in pixels:

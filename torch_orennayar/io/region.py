@@ -61,7 +61,8 @@ class Region:
         require("cv2")
         import cv2
 
-        cut = self._cut(picture)
+        left, top, width, height = self.crop or (0, 0, picture.shape[2], picture.shape[1])
+        cut = picture[:, top : top + height, left : left + width]
         if self.scale == 1:
             return cut
         height, width = (max(1, round(n * self.scale)) for n in cut.shape[1:])
@@ -86,12 +87,6 @@ class Region:
         left, top = (0, 0) if self.crop is None else self.crop[:2]
         x, y = ((v + 0.5) * self.scale - 0.5 for v in (ball.x - left, ball.y - top))
         return Ball(x, y, ball.radius * self.scale)
-
-    def _cut(self, picture: Tensor) -> Tensor:
-        if self.crop is None:
-            return picture
-        left, top, width, height = self.crop
-        return picture[:, top : top + height, left : left + width]
 
 
 WHOLE = Region()

@@ -51,12 +51,10 @@ class Written:
     """What `write_reconstruction` wrote.
 
     Attributes:
-        folder: where.
-        numbers: the content of its ``result.json``.
+        numbers: the content of ``result.json``.
         seconds: what each step took, by its name.
     """
 
-    folder: Path
     numbers: ResultNumbers
     seconds: dict[str, float]
 
@@ -93,7 +91,7 @@ def write_reconstruction(
         animation: write ``relight.gif`` and ``turntable.gif``.
 
     Returns:
-        The folder, the numbers and the seconds.
+        The numbers and the seconds.
 
     Raises:
         FileError: the place cannot be written, or holds a file of these names that this package did not write.
@@ -130,7 +128,7 @@ def write_reconstruction(
         written |= {p.name for p in temporary.iterdir()}
     for name in OPTIONAL - written:
         (Path(folder) / name).unlink(missing_ok=True)
-    return Written(Path(folder), numbers, taken)
+    return Written(numbers, taken)
 
 
 def _write_data(folder: Path, found: Reconstruction, maps: ResultMaps, pixel_mm: float | None) -> None:

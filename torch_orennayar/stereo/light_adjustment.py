@@ -23,7 +23,6 @@ from .pixel_sample import PixelSample
 from .robust_fit import PixelFit
 from .robust_stats import (
     ERROR_CAP,
-    Used,
     geman_mcclure,
     in_light,
     mean_brightness,
@@ -87,12 +86,10 @@ class Observed:
 
     Attributes:
         grey: (P, K) float64.
-        used: which observations count.
         spread: standard deviation of the logarithm of the lights' brightness that is expected.
     """
 
     grey: Tensor
-    used: Used
     spread: float
 
     def fit(
@@ -101,7 +98,7 @@ class Observed:
         """The pixels under given lights."""
         places = torch.arange(len(self.grey))
         sample = PixelSample(self.grey / brightness, LightDirections.of(directions), places, len(places))
-        return robust_fit.fit(sample, material, used=self.used, start=start or "middle", steps=steps)
+        return robust_fit.fit(sample, material, used="lit", start=start or "middle", steps=steps)
 
     def error(self, guess: LightGuess) -> float:
         """Mean absolute misfit over the pixels' means, each cut at `ERROR_CAP`."""
@@ -183,7 +180,7 @@ class _Equations:
     def of(observed: Observed, guess: LightGuess) -> _Equations:
         """At a guess."""
         mean = mean_brightness(observed.grey)
-        selected = select(observed.grey, observed.used)
+        selected = select(observed.grey, "lit")
         response = _respond(guess, guess.directions, guess.material, mean)
         residual = observed.grey / mean - guess.brightness * response.value
         noise = noise_level(residual, selected, median_rank(selected))

@@ -188,7 +188,7 @@ def _solve(grey: Tensor, inside: Tensor, lights: Tensor, spread: float) -> tuple
     """Lights and pixels in the material that explains them better, and the standard errors of the lights."""
     tried = []
     for material in track(_materials(len(lights)), "comparing surfaces"):
-        observed = Observed(grey, "lit", spread)
+        observed = Observed(grey, spread)
         guess = adjust(observed, _begin(observed, lights, material), BEGIN)
         tried.append((observed, guess))
     (observed, guess), rough = tried
@@ -268,7 +268,7 @@ def _check_lit(grey: Tensor) -> None:
 
 def _unequal(grey: Tensor, guess: LightGuess) -> float:
     """How much the brightness of lights taken as equal differs where it may: standard deviation as a share."""
-    released = adjust(Observed(grey, "lit", USUAL), guess, CONTINUE)
+    released = adjust(Observed(grey, USUAL), guess, CONTINUE)
     return float(released.brightness.log().std())
 
 
@@ -277,7 +277,7 @@ def _check_fit(guess: LightGuess, grey: Tensor, inside: Tensor) -> None:
     outline = silhouette_normals(inside[None])[:, inside].T.to(grey)
     rim = outline[:, :2].norm(dim=1) > SLANTED
     outward = F.normalize(guess.pixels.normal[rim, :2], dim=1) * F.normalize(outline[rim, :2], dim=1)
-    error = Observed(grey, "lit", EQUAL).error(guess)
+    error = Observed(grey, EQUAL).error(guess)
     reason = ""
     if error > UNLIKE:
         reason = f"photographs that no matt or glossy surface explains (error {error:.0%})"
