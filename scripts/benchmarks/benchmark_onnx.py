@@ -28,7 +28,9 @@ from torch import Tensor
 
 import torch_orennayar as ton
 from scripts.benchmarks.record import record
+from scripts.benchmarks.timing import interleave
 from tests.support.example_code import CAN_BROWSE, CHROMIUM, served_page
+from tests.support.objects import opened_graph
 from torch_orennayar.stereo.closed_form import solve_closed_form
 from torch_orennayar.stereo.network_solver import solve_network
 
@@ -102,19 +104,7 @@ def scene(side: int) -> Scene:
 
 def median(work: Callable[[], object]) -> float:
     """Milliseconds."""
-    times = []
-    for _ in range(RUNS + WARM):
-        begun = time.perf_counter()
-        work()
-        times.append(1000 * (time.perf_counter() - begun))
-    return statistics.median(times[WARM:])
-
-
-def opened_graph(path: Path, threads: int) -> onnxruntime.InferenceSession:
-    """A graph, ready to run on so many threads of the CPU."""
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = threads
-    return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+    return statistics.median(interleave({"": work}, RUNS, warm=WARM)[""])
 
 
 def in_python(model: str, side: int, graphs: dict[str, Path]) -> dict[str, Row]:

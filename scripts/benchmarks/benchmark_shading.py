@@ -139,14 +139,12 @@ def memory(size: int) -> dict[str, float | None]:
 
 def onnx(size: int, runs: int) -> Table:
     """Time of ONNX Runtime over eager torch's, on as many threads; roughness a map, and one number."""
-    import onnxruntime
+    from tests.support.objects import opened_graph
 
     found: Table = {}
     before = torch.get_num_threads()
     for threads in sorted({1, before}):
         torch.set_num_threads(threads)
-        options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = threads
         for kind in ("map", "number"):
             parts = scene(size)
             if kind == "number":
@@ -155,7 +153,7 @@ def onnx(size: int, runs: int) -> Table:
             for name in CLOSED:
                 with tempfile.TemporaryDirectory() as folder:
                     file = export_onnx("shading", Path(folder) / "shading.onnx", model=name)
-                    session = onnxruntime.InferenceSession(str(file), options, providers=["CPUExecutionProvider"])
+                    session = opened_graph(file, threads)
                 feeds = {i.name: t.numpy() for i, t in zip(session.get_inputs(), parts, strict=True)}
                 times = interleave({"eager": forward(model(name), parts)}, runs)
                 times |= interleave({"onnx": functools.partial(session.run, None, feeds)}, runs)

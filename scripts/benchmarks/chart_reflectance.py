@@ -22,7 +22,6 @@ import math
 import os
 import sys
 import tempfile
-from collections.abc import Callable
 from pathlib import Path
 from statistics import median
 from typing import TypedDict
@@ -37,6 +36,7 @@ from scripts.benchmarks.charts import frontier
 from scripts.benchmarks.markdown import aligned, fixed
 from scripts.benchmarks.materials import MaterialFit, fit_materials
 from scripts.benchmarks.record import record
+from scripts.benchmarks.shading_edge_cases import Shade, member
 from scripts.benchmarks.timing import Call, allow_recompilations, both, forward, interleave
 from scripts.fit.theory_reference import Directions, cosine_weighted, grazing, theory
 from torch_orennayar import MODELS, export_onnx, linear_to_srgb, oren_nayar
@@ -51,15 +51,10 @@ RUNS = 15
 """Interleaved runs of which a time is the median."""
 SMALL = 32
 """Height and width of the picture that the slow `theory` is timed on."""
-Shade = Callable[[Tensor, Tensor, Tensor, Tensor, Tensor], Tensor]
 
 
 def shaders() -> dict[str, Shade]:
     """``(normal, light, view, albedo, roughness) -> shading``, 3 along the last axis."""
-
-    def member(name: str) -> Shade:
-        return lambda *scene: oren_nayar(*scene, model=name, dim=-1)
-
     return {name: member(name) for name in MODELS} | {b.name: b.shade for b in BASELINES}
 
 
@@ -141,7 +136,7 @@ def _runner(kind: str, shade: Shade, scene: list[Tensor]) -> Call:
 
 def _onnx_runner(name: str, shade: Shade, scene: list[Tensor]) -> Call:
     """A member's own graph, or a copied formula as it is traced."""
-    import onnxruntime
+    from tests.support.objects import opened_graph
 
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "shading.onnx"
@@ -151,9 +146,7 @@ def _onnx_runner(name: str, shade: Shade, scene: list[Tensor]) -> Call:
         else:
             with quiet():
                 torch.onnx.export(_Module(shade).eval(), tuple(scene), str(file), dynamo=True, verbose=False)
-        options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = torch.get_num_threads()
-        session = onnxruntime.InferenceSession(str(file), options, providers=["CPUExecutionProvider"])
+        session = opened_graph(file, torch.get_num_threads())
     feeds = {i.name: t.contiguous().numpy() for i, t in zip(session.get_inputs(), scene, strict=True)}
     return lambda: session.run(None, feeds)
 

@@ -31,6 +31,7 @@ import scipy.optimize
 import torch
 from torch import Tensor
 
+from scripts.benchmarks.evaluate_calibration import GREY_BALL
 from scripts.benchmarks.markdown import aligned, mean_of
 from scripts.benchmarks.record import record
 from tests.support import height_fields
@@ -118,10 +119,6 @@ def surfaces(size: int, quick: bool, meshes: Path) -> list[Case]:
     return cases
 
 
-GREY_BALL = (244.5, 144.5, 108.0)
-"""Column, row and radius in pixels of UW's grey ball, as the description of the data says."""
-
-
 def pictures(data: Path, step: int) -> list[Case]:
     """Single photographs, every ``step``-th pixel; albedo is estimated, roughness 0 except for the grey ball."""
     folders = [folder for folder in sorted((data / "sfs_mit_berkeley").iterdir()) if folder.is_dir()]
@@ -151,10 +148,7 @@ def diligent(data: Path) -> list[Case]:
 def grey_ball(data: Path) -> Case:
     """One photograph of UW's grey ball; its roughness is measured by photometric stereo on all of them."""
     capture = load_capture(data / "gray", encoding="linear", lights=data / "light_directions.txt")
-    row, column = torch.meshgrid(*[torch.arange(n).float() for n in capture.mask.shape[1:]], indexing="ij")
-    x, y = (column - GREY_BALL[0]) / GREY_BALL[2], -(row - GREY_BALL[1]) / GREY_BALL[2]
-    inside = (x * x + y * y < 1)[None]
-    normal = torch.stack((x, y, (1 - x * x - y * y).clamp_min(0).sqrt())) * inside
+    normal, inside = GREY_BALL.normals((capture.mask.shape[1], capture.mask.shape[2]))
     index = _light_near(capture.lights, 30)
     image = capture.images[index].mean(0, keepdim=True)
     roughness = float(photometric_stereo(capture.images, capture.lights, inside, seed=0).roughness[inside].median())

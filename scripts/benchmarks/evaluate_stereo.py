@@ -33,6 +33,7 @@ from scripts.benchmarks.robust_baselines import SOLVERS
 from scripts.benchmarks.timing import alone, forget_peak, peak_memory
 from tests.support import rendered_captures
 from torch_orennayar import (
+    Capture,
     CaptureError,
     Reconstruction,
     angular_error,
@@ -85,9 +86,8 @@ class Photographs(NamedTuple):
         return self.error(METHODS[method](*given, self.mask).normal).nanmean().item()
 
 
-def from_folder(folder: str) -> Photographs:
-    """A capture with true normals."""
-    capture = load_capture(folder)
+def from_capture(capture: Capture, folder: str) -> Photographs:
+    """A capture with true normals, of a folder."""
     if capture.normal is None:
         raise SystemExit(f"{folder} has no true normals")
     name = Path(folder).name.removesuffix("PNG")
@@ -240,7 +240,7 @@ def calibration(cases: list[Photographs]) -> Curves:
 def peak(folder: str) -> float:
     """Peak memory in MB of a process that loads and solves a folder with `auto`."""
     forget_peak()
-    case = from_folder(folder)
+    case = from_capture(load_capture(folder), folder)
     METHODS["auto"](case.images, case.lights, case.mask)
     return peak_memory() / 2**20
 
@@ -299,7 +299,7 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="fewer and smaller rendered captures")
     options = parser.parse_args()
     wanted, quick = options.sections, options.quick
-    real = [from_folder(folder) for folder in options.folders]
+    real = [from_capture(load_capture(folder), folder) for folder in options.folders]
     rendered = rendered_set(quick) if "rendered" in wanted or not real else []
     if "photographs" in wanted and real:
         solve_all("photographs", real, quick)

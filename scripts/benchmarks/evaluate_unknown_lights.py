@@ -21,11 +21,10 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from scripts.benchmarks.evaluate_stereo import Photographs, from_rendered
+from scripts.benchmarks.evaluate_stereo import Photographs, from_capture, from_rendered
 from scripts.benchmarks.record import record
 from tests.support import rendered_captures
 from torch_orennayar import (
-    Capture,
     CaptureError,
     FoundLights,
     find_lights,
@@ -87,7 +86,7 @@ def known_row(case: Photographs) -> Row:
 def photographs(folder: str) -> tuple[str, dict[str, Row]]:
     """A capture under known lights, under found ones, and as it was taken."""
     capture = load_capture(folder)
-    case = _case(capture, folder)
+    case = from_capture(capture, folder)
     gain = capture.intensities.mean(1)
     taken = capture.images * capture.intensities[:, :, None, None]
     unequal = find_lights(taken, capture.mask)
@@ -97,13 +96,6 @@ def photographs(folder: str) -> tuple[str, dict[str, Row]]:
         "unknown": solved_row(case, taken, "unknown", gain),
         "wrongly equal": lights_row(unequal, capture.lights, gain),
     }
-
-
-def _case(capture: Capture, folder: str) -> Photographs:
-    if capture.normal is None:
-        raise SystemExit(f"{folder} has no true normals")
-    name = folder.rstrip("/").rpartition("/")[2].removesuffix("PNG")
-    return Photographs(name, capture.images, capture.lights, capture.mask, capture.normal)
 
 
 def rendered() -> dict[str, dict[str, Row]]:
@@ -126,7 +118,7 @@ def rendered() -> dict[str, dict[str, Row]]:
 def few(folder: str) -> dict[str, dict[int, float]]:
     """Errors of lights found from K photographs, evenly taken, and of `lambert` under them and under the true ones."""
     capture = load_capture(folder)
-    case = _case(capture, folder)
+    case = from_capture(capture, folder)
     curves: dict[str, dict[int, float]] = {"lights": {}, "expected": {}, "normals": {}, "normals, lights known": {}}
     generator = torch.Generator().manual_seed(0)
     order = torch.randperm(len(case.lights), generator=generator)

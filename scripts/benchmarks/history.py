@@ -11,14 +11,13 @@ from __future__ import annotations
 
 import argparse
 import json
-import subprocess
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from scripts.benchmarks.markdown import short, table
-from scripts.benchmarks.record import ROOT
+from scripts.benchmarks.record import ROOT, git
 
 RESULTS = "scripts/benchmarks/results"
 WORSE = "worse"
@@ -69,11 +68,6 @@ FIGURES = (
     Figure("one view of 512², ms", ("benchmark_renderer", "steps", "whole"), TIME),
     Figure("64 views of 128², ms", ("benchmark_renderer", "batches", "64 cameras"), TIME),
 )
-
-
-def git(*arguments: str) -> str:
-    """What git prints; nothing where it fails."""
-    return subprocess.run(["git", *arguments], cwd=ROOT, capture_output=True, text=True, check=False).stdout.strip()
 
 
 def revisions() -> list[str]:

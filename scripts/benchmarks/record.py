@@ -88,8 +88,7 @@ def record(
         The file that was written.
     """
     path = folder / f"{name}.json"
-    document: dict[str, object] = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
-    run = describe_run(device)
+    document, run = _read(path), describe_run(device)
     for title, results in sections.items():
         key = title + QUICK if title in quick else title
         document[key] = {"run": run, "results": simplify(results)}
@@ -107,7 +106,7 @@ def load_section(name: str, title: str, folder: Path = RESULTS) -> Section:
         NotMeasuredError: no run has recorded it.
     """
     path = folder / f"{name}.json"
-    document = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+    document = _read(path)
     for key in (title, title + QUICK):
         if key in document:
             return Section(document[key]["run"], document[key]["results"])
@@ -121,12 +120,18 @@ def load_sections(name: str, prefix: str, folder: Path = RESULTS) -> dict[str, S
         NotMeasuredError: there are none.
     """
     path = folder / f"{name}.json"
-    document = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+    document = _read(path)
     start = f"{prefix}, "
     found = {k.removeprefix(start): Section(v["run"], v["results"]) for k, v in document.items() if k.startswith(start)}
     if not found:
         raise NotMeasuredError(f"no section {start!r} is in {path.name}")
     return found
+
+
+def _read(path: Path) -> dict[str, Any]:
+    """The sections of a file; empty where there is none."""
+    document: dict[str, Any] = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+    return document
 
 
 def sources(*sections: Section) -> str:
@@ -137,8 +142,8 @@ def sources(*sections: Section) -> str:
 def describe_run(device: str = "cpu") -> dict[str, object]:
     """Commit, date, command, processor, threads and versions of this process."""
     return {
-        "commit": _git("rev-parse", "HEAD") or os.environ.get("GIT_COMMIT"),  # a copy without .git is told it
-        "changed": bool(_git("status", "--porcelain", "--", ".", *(f":(exclude){place}" for place in GENERATED))),
+        "commit": git("rev-parse", "HEAD") or os.environ.get("GIT_COMMIT"),  # a copy without .git is told it
+        "changed": bool(git("status", "--porcelain", "--", ".", *(f":(exclude){place}" for place in GENERATED))),
         "date": datetime.now(timezone.utc).isoformat(timespec="seconds"),
         "command": command_line(),
         "processor": _processor(device),
@@ -179,11 +184,12 @@ def _key(key: object) -> str:
     return f"{key:.{DIGITS}g}" if isinstance(key, float) else str(key)
 
 
-def _git(*arguments: str) -> str | None:
+def git(*arguments: str) -> str:
+    """What git prints; nothing where it fails or is missing."""
     try:
         answer = subprocess.run(["git", *arguments], cwd=ROOT, capture_output=True, text=True, check=True)
     except (OSError, subprocess.CalledProcessError):
-        return None
+        return ""
     return answer.stdout.strip()
 
 

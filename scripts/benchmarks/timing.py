@@ -76,14 +76,10 @@ def peak_bytes(make: Callable[..., Call], size: int, *arguments: object) -> int 
     """Memory that ``make(size, *arguments)()`` needs beyond what a fresh process held; Linux only."""
     if not Path("/proc/self/clear_refs").exists():
         return None
-    context = multiprocessing.get_context("spawn")
-    receiver, sender = context.Pipe(duplex=False)
-    process = context.Process(target=_measure, args=(sender, make, size, arguments))
-    process.start()
-    sender.close()
-    result: int = receiver.recv()
-    process.join()
-    return result
+    needed: int | RuntimeError = alone(_measure, make, size, *arguments)
+    if isinstance(needed, RuntimeError):
+        raise needed
+    return needed
 
 
 def alone(function: Callable[..., object], *arguments: object) -> Any:
@@ -108,13 +104,13 @@ def _answer(sender: Connection, function: Callable[..., object], arguments: tupl
         sender.send(RuntimeError(f"{type(error).__name__}: {str(error).partition(chr(10))[0]}"))
 
 
-def _measure(sender: Connection, make: Callable[..., Call], size: int, arguments: tuple[object, ...]) -> None:
+def _measure(make: Callable[..., Call], size: int, *arguments: object) -> int:
     make(16, *arguments)()  # loads code and starts threads, and keeps little memory
     call = make(size, *arguments)
     forget_peak()
     before = _status("VmRSS")
     call()
-    sender.send(peak_memory() - before)
+    return peak_memory() - before
 
 
 def forget_peak() -> None:

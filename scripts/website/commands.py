@@ -7,8 +7,10 @@ import subprocess
 import sys
 from pathlib import Path
 
-COMMANDS = ("demo", "render", "inspect", "stereo", "shape", "batch", "calibrate", "synthesize", "export", "info")
-"""Commands in the order of `orennayar --help`; a test compares them."""
+from torch_orennayar.cli import application
+
+COMMANDS = tuple(function.__name__ for function, _ in application.COMMANDS)
+"""Commands in the order of `orennayar --help`."""
 COLUMNS = 100
 """Width of the text in characters."""
 

@@ -3,13 +3,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import onnx
-import onnxruntime
 import pytest
 import torch
 import torch.nn.functional as F
 import trimesh
 
-from tests.support.objects import run_graph
+from tests.support.objects import opened_graph, run_graph
 from torch_orennayar import (
     MODELS,
     Camera,
@@ -219,9 +218,7 @@ def renderer(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
 
 
 def render(path: Path, *inputs: torch.Tensor, threads: int = 0) -> dict[str, torch.Tensor]:
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = threads
-    session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+    session = opened_graph(path, threads)
     names = [i.name for i in session.get_inputs()]
     answers = session.run(None, {n: v.numpy() for n, v in zip(names, inputs, strict=True)})
     return dict(zip([o.name for o in session.get_outputs()], map(torch.from_numpy, answers), strict=True))

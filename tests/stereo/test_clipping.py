@@ -9,7 +9,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from tests.support.objects import findings
+from tests.support.objects import findings, mean_error
 from torch_orennayar import OrenNayar, ShapeError, angular_error, photometric_stereo
 from torch_orennayar.geometry.primitives import spiral_lights
 from torch_orennayar.stereo.normal_fill import fill_normals
@@ -37,10 +37,6 @@ def ball() -> Ball:
     return Ball(normal, mask[None], lights, OrenNayar("lambert")(normal[None], lights[None], albedo=0.8)[0])
 
 
-def error(normal: Tensor, ball: Ball) -> float:
-    return angular_error(normal, ball.normal, ball.mask).summary()["mean"]
-
-
 @pytest.mark.parametrize("model", ["lambert", "auto"])
 @pytest.mark.parametrize(("exposure", "bar"), [(1.5, 0.02), (2.0, 0.05), (3.0, 1.0)])
 def test_clipped_samples_do_not_bend_the_normals(ball: Ball, model: str, exposure: float, bar: float) -> None:
@@ -49,7 +45,7 @@ def test_clipped_samples_do_not_bend_the_normals(ball: Ball, model: str, exposur
     found = photometric_stereo(shot, ball.lights, ball.mask, model=model)
     share = 100 * (shot[:, 0][:, ball.mask[0]] >= 1).double().mean().item()
     assert [f.value for f in findings(found, "clipped-samples")] == [pytest.approx(share)]
-    assert error(found.normal, ball) < bar
+    assert mean_error(found, ball) < bar
     assert found.albedo[ball.mask].median().item() / exposure == pytest.approx(0.8, abs=0.01)
 
 
@@ -63,13 +59,13 @@ def test_what_the_caller_calls_valid_counts(ball: Ball) -> None:
     batched = photometric_stereo(
         (shot / gain)[None], ball.lights[None], ball.mask[None], model="lambert", valid=valid[None]
     )
-    assert error(known.normal, ball) < 0.5 < error(unknown.normal, ball)
+    assert mean_error(known, ball) < 0.5 < mean_error(unknown, ball)
     assert torch.equal(batched.normal[0], known.normal)
     plain = photometric_stereo(shot / gain, ball.lights, ball.mask, model="lambert", robust=False, valid=valid)
     every = photometric_stereo(shot / gain, ball.lights, ball.mask, model="lambert", robust=False)
     whole = photometric_stereo(2 * ball.images, ball.lights, ball.mask, model="lambert", robust=False)
-    assert error(plain.normal, ball) < error(every.normal, ball)
-    assert error(plain.normal, ball) < error(whole.normal, ball) + 3
+    assert mean_error(plain, ball) < mean_error(every, ball)
+    assert mean_error(plain, ball) < mean_error(whole, ball) + 3
     for wrong in (valid[:3], valid.float()):
         with pytest.raises(ShapeError, match="valid"):
             photometric_stereo(shot, ball.lights, ball.mask, valid=wrong)
@@ -96,7 +92,7 @@ def test_black_pixels_have_albedo_0_in_least_squares(ball: Ball) -> None:
         assert found.albedo.isfinite().all()
         assert (found.albedo[:, 18:22, 18:22] < 1e-6).all()
         assert (found.confidence[:, 18:22, 18:22] == 0).all()
-        assert error(found.normal, ball) < 3
+        assert mean_error(found, ball) < 3
 
 
 def test_gaps_are_filled_from_their_neighbourhood(ball: Ball) -> None:

@@ -10,7 +10,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from tests.support.objects import findings
+from tests.support.objects import degrees_apart, findings
 from torch_orennayar import CaptureError, OrenNayar, ShapeError, angular_error, photometric_stereo
 from torch_orennayar.geometry.primitives import Ball, spiral_lights
 from torch_orennayar.stereo.light_refinement import refine_lights
@@ -59,19 +59,15 @@ def test_wrong_lights_are_mended(
     images, mask, _ = rough_ball
     lights = spiral_lights(COUNT)
     given = wrong(lights)
-    before, worst = apart(given, lights).mean().item(), apart(given, lights).max()
+    before, worst = degrees_apart(given, lights).mean().item(), degrees_apart(given, lights).max()
     with pytest.warns(UserWarning, match="contradict the photographs"):
         found = refine_lights(images, given, mask)
     assert worst > 4
-    assert apart(found.directions, lights).mean().item() < min(1.5, before)
+    assert degrees_apart(found.directions, lights).mean().item() < min(1.5, before)
     assert [f.code for f in found.findings] == ["lights-refined"]
     if count is not None:
         replaced = (found.directions - given).norm(dim=1) > 0
         assert int(replaced.sum()) == count
-
-
-def apart(one: Tensor, other: Tensor) -> Tensor:
-    return torch.rad2deg((one.double() * other.double()).sum(1).clamp(-1, 1).acos())
 
 
 def test_right_lights_are_left_alone(rough_ball: tuple[Tensor, Tensor, Tensor]) -> None:

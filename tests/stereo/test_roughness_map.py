@@ -8,20 +8,16 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
-from torch import Tensor
 
 from tests.support import rendered_captures
-from torch_orennayar import angular_error, photometric_stereo
+from tests.support.objects import mean_error
+from torch_orennayar import photometric_stereo
 from torch_orennayar.stereo import row_bands
 from torch_orennayar.stereo.material import Material
 from torch_orennayar.stereo.pixel_grid import Grid
 from torch_orennayar.stereo.roughness_map import LEVELS, RADIUS, STEP, blend, nearest
 from torch_orennayar.stereo.row_bands import solve_bands
 from torch_orennayar.stereo.solved_maps import SolvedMaps
-
-
-def error(case: rendered_captures.Rendered, normal: Tensor) -> float:
-    return angular_error(normal, case.normal, case.mask).summary()["mean"]
 
 
 def levels_of(height: int, width: int) -> list[SolvedMaps]:
@@ -37,8 +33,8 @@ def test_a_map_is_found_where_one_roughness_is_not_enough(left: float, right: fl
     found = photometric_stereo(scene.images, scene.lights, scene.mask)
     one = photometric_stereo(scene.images, scene.lights, scene.mask, model="vcavity")
     assert "varied" in min(found.scores, key=found.scores.__getitem__)
-    assert error(scene, found.normal) < 1.0
-    assert error(scene, found.normal) < 0.6 * error(scene, one.normal)
+    assert mean_error(found, scene) < 1.0
+    assert mean_error(found, scene) < 0.6 * mean_error(one, scene)
     for degrees in (left, right):
         side = (truth - math.radians(degrees)).abs() < 1e-3
         there = torch.rad2deg(found.roughness[side & scene.mask])

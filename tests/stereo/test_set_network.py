@@ -10,7 +10,7 @@ from torch import Tensor
 
 import torch_orennayar as ton
 from tests.support import rendered_captures
-from tests.support.objects import Scene, run_graph
+from tests.support.objects import Scene, degrees_apart, run_graph
 from torch_orennayar import (
     FileError,
     SyntheticCaptures,
@@ -43,10 +43,6 @@ def graph(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return ton.export_onnx("stereo", tmp_path_factory.mktemp("graph") / "network.onnx", model="network")
 
 
-def degrees(found: Tensor, wanted: Tensor) -> Tensor:
-    return torch.rad2deg((found * wanted).sum(1).clamp(-1, 1).acos())
-
-
 def least_squares(pixels: SyntheticPixels) -> Tensor:
     return F.normalize(torch.linalg.lstsq(pixels["lights"], pixels["observed"][..., None]).solution[..., 0], dim=1)
 
@@ -54,8 +50,8 @@ def least_squares(pixels: SyntheticPixels) -> Tensor:
 @torch.no_grad()
 def test_better_than_least_squares_on_pixels_it_never_saw(network: SetNetwork, pixels: SyntheticPixels) -> None:
     found, _ = network(pixels["observed"], pixels["lights"])
-    error = degrees(found, pixels["normal"])
-    baseline = degrees(least_squares(pixels), pixels["normal"])
+    error = degrees_apart(found, pixels["normal"])
+    baseline = degrees_apart(least_squares(pixels), pixels["normal"])
     assert error.mean() < 0.45 * baseline.mean()
     assert error.median() < 0.45 * baseline.median()
 
@@ -80,7 +76,7 @@ def test_order_and_unit_do_not_matter(network: SetNetwork, pixels: SyntheticPixe
     found, doubt = network(observed, lights)
     order = torch.randperm(40, generator=torch.Generator().manual_seed(0))
     for other in (network(observed[:, order], lights[:, order]), network(observed * 37, lights)):
-        assert degrees(other[0], found).max() < 0.05
+        assert degrees_apart(other[0], found).max() < 0.05
         assert torch.allclose(other[1], doubt, rtol=1e-2)
 
 
@@ -91,8 +87,8 @@ def test_turning_the_scene_turns_the_answer(network: SetNetwork, pixels: Synthet
     turn = torch.tensor([[c, -s, 0], [s, c, 0], [0, 0, 1]])
     found, _ = network(pixels["observed"], pixels["lights"])
     turned, _ = network(pixels["observed"], pixels["lights"] @ turn.T)
-    assert degrees(turned, found @ turn.T).median() < 1e-2
-    assert degrees(turned, found @ turn.T).max() < 0.2  # float32 in a solve of three lights that nearly coincide
+    assert degrees_apart(turned, found @ turn.T).median() < 1e-2
+    assert degrees_apart(turned, found @ turn.T).max() < 0.2  # float32 in a solve of three lights that nearly coincide
 
 
 def test_ranks_share_ties() -> None:
@@ -109,7 +105,10 @@ def test_no_pixels(network: SetNetwork) -> None:
 
 def test_an_untrained_network_is_trimmed_least_squares(pixels: SyntheticPixels) -> None:
     found, _ = SetNetwork()(pixels["observed"], pixels["lights"])
-    assert degrees(found, pixels["normal"]).median() < degrees(least_squares(pixels), pixels["normal"]).median()
+    assert (
+        degrees_apart(found, pixels["normal"]).median()
+        < degrees_apart(least_squares(pixels), pixels["normal"]).median()
+    )
 
 
 def test_gradients_are_finite_for_black_white_and_equal_pixels() -> None:
@@ -165,8 +164,8 @@ class TestSmooth:
         wrong = true.clone()
         wrong[:, 6, 4], error[:, 6, 4] = torch.tensor([0.0, 0.0, 1.0]), 0.7
         smoothed = Smooth()(wrong, error)
-        assert degrees(smoothed[:, 6, 4][None], true[:, 6, 4][None]) < 3
-        assert degrees(smoothed[:, 6, 5][None], true[:, 6, 5][None]) < 0.2
+        assert degrees_apart(smoothed[:, 6, 4][None], true[:, 6, 4][None]) < 3
+        assert degrees_apart(smoothed[:, 6, 5][None], true[:, 6, 5][None]) < 0.2
 
     def test_what_is_outside_the_mask_says_nothing(self) -> None:
         true = self.roof()

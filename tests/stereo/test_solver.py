@@ -9,7 +9,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from tests.support import rendered_captures
-from tests.support.objects import Scene, findings
+from tests.support.objects import Scene, findings, mean_error
 from torch_orennayar import (
     BatchReconstruction,
     CaptureError,
@@ -27,10 +27,6 @@ from torch_orennayar.geometry.primitives import spiral_lights
 from torch_orennayar.stereo import row_bands
 from torch_orennayar.stereo.linear_systems import solve_symmetric
 from torch_orennayar.stereo.material_selection import hold_out
-
-
-def mean_error(found: Reconstruction, scene: Scene | rendered_captures.Rendered) -> float:
-    return angular_error(found.normal, scene.normal, scene.mask).summary()["mean"]
 
 
 @pytest.fixture(scope="module")
