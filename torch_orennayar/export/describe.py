@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict
 
 from .._version import __version__
 from ..core.errors import ExportError
 from ..core.optional import require
+from .nodes import every_node
 
 if TYPE_CHECKING:
     import onnx
@@ -61,7 +62,10 @@ def describe_onnx(path: str | os.PathLike[str]) -> GraphDescription:
         raise ExportError(
             str(file), expected="an ONNX file", got=f"{type(error).__name__}: {error}", mend="export it again"
         ) from error
-    operators, values = list(_operators(model.graph)), [*model.graph.input, *model.graph.output]
+    operators, values = (
+        [node.op_type for node in every_node(model.graph.node)],
+        [*model.graph.input, *model.graph.output],
+    )
     metadata = {entry.key: entry.value for entry in model.metadata_props}
     return {
         "bytes": file.stat().st_size,
@@ -102,12 +106,3 @@ def _type(value: onnx.ValueInfoProto) -> str:
 def _axes(values: Iterable[onnx.ValueInfoProto]) -> dict[str, list[str]]:
     """The size of every axis, or its name where it is dynamic."""
     return {v.name: [d.dim_param or str(d.dim_value) for d in v.type.tensor_type.shape.dim] for v in values}
-
-
-def _operators(graph: onnx.GraphProto) -> Iterator[str]:
-    """The operator of every node, inside loops too."""
-    for node in graph.node:
-        yield node.op_type
-        for attribute in node.attribute:
-            if attribute.HasField("g"):
-                yield from _operators(attribute.g)

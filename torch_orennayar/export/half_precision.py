@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING
 
+from .nodes import every_node
+
 if TYPE_CHECKING:
     import onnx
-
 
 LARGE = 256
 """Number of values from which a constant is worth a node that widens it; set by hand."""
@@ -71,10 +72,7 @@ def _narrow(values: Iterable[onnx.ValueInfoProto]) -> dict[str, str]:
 
 def _rename(nodes: Iterable[onnx.NodeProto], names: Mapping[str, str]) -> None:
     """Rename the values that nodes read and write, in the bodies of loops too, which can read outer values."""
-    for node in nodes:
+    for node in every_node(nodes):
         for listed in (node.input, node.output):
             for k, name in enumerate(listed):
                 listed[k] = names.get(name, name)
-        for attribute in node.attribute:
-            if attribute.HasField("g"):
-                _rename(attribute.g.node, names)

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from ..geometry.primitives import Ball
 from ..geometry.smooth_integration import LEVELS, STEPS, integrate_smooth
-from .nodes import Nodes, as_model, inline, repeated
+from .nodes import Nodes, as_model, floats, inline, repeated
 from .task import ExportTask
 from .traced_steps import load_step
 
@@ -82,11 +82,10 @@ def integration_graph() -> onnx.ModelProto:
     initializers += [numpy_helper.from_array(np.asarray(value), name) for name, value in constants.items()]
     area: tuple[str, str] = ("height", "width")
     inputs = [
-        helper.make_tensor_value_info("normal", TensorProto.FLOAT, [3, *area]),
+        floats("normal", [3, *area]),
         helper.make_tensor_value_info("mask", TensorProto.BOOL, [1, *area]),
     ]
-    output = helper.make_tensor_value_info("depth", TensorProto.FLOAT, [1, *area])
-    return as_model(helper.make_graph(add.nodes, "integration", inputs, [output], initializers))
+    return as_model(helper.make_graph(add.nodes, "integration", inputs, [floats("depth", [1, *area])], initializers))
 
 
 def integration_trials() -> list[tuple[Tensor, ...]]:

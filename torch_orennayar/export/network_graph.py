@@ -9,7 +9,7 @@ from torch import Tensor
 
 from ..stereo.network_solver import CHUNK, NETWORK, TRAINED_LIGHTS, solve_network
 from ..stereo.set_network import load_network
-from .nodes import Nodes
+from .nodes import Nodes, floats
 from .pixel_graph import CAPTURE_METADATA, INPUTS, PixelGraph, capture_trials
 from .task import ExportTask
 from .traced_steps import load_step
@@ -64,7 +64,7 @@ def _predict_in_chunks(graph: PixelGraph, grey: str) -> tuple[str, str]:
 
     Chunks have equal sizes; the last one is filled up with copies of the last pixel, cut off again behind the network.
     """
-    from onnx import TensorProto, helper
+    from onnx import helper
 
     add = graph.add
     pixels, count = add("Shape", grey, end=1), add("Shape", grey, start=1)
@@ -76,9 +76,6 @@ def _predict_in_chunks(graph: PixelGraph, grey: str) -> tuple[str, str]:
     inner = Nodes("read_")
     network = load_step("network", load_network().state_dict())
     predicted = graph.inline(network, "network_", ("one_chunk", graph.lights), inner)
-
-    def floats(name: str) -> onnx.ValueInfoProto:
-        return helper.make_tensor_value_info(name, TensorProto.FLOAT, None)
 
     body = helper.make_graph(inner.nodes, "read", [floats("one_chunk")], [floats(name) for name in predicted])
     normals, errors = add.with_outputs(2, "Scan", chunks, body=body, num_scan_inputs=1)

@@ -6,7 +6,7 @@ import io
 import logging
 import re
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stdout
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -97,9 +97,6 @@ def repeated(
     after = step(inner, *before)
     condition = inner("Identity", condition_before)
 
-    def floats(name: str) -> onnx.ValueInfoProto:
-        return helper.make_tensor_value_info(name, TensorProto.FLOAT, None)
-
     inputs = [
         helper.make_tensor_value_info(index, TensorProto.INT64, []),
         helper.make_tensor_value_info(condition_before, TensorProto.BOOL, []),
@@ -108,6 +105,22 @@ def repeated(
     outputs = [helper.make_tensor_value_info(condition, TensorProto.BOOL, []), *map(floats, after)]
     body = helper.make_graph(inner.nodes, f"{prefix}body", inputs, outputs)
     return add.with_outputs(len(state), "Loop", times, "", *state, body=body)
+
+
+def floats(name: str, sizes: Sequence[int | str] | None = None) -> onnx.ValueInfoProto:
+    """An input or output of float32 numbers; of any number of axes where no ``sizes`` are given."""
+    from onnx import TensorProto, helper
+
+    return helper.make_tensor_value_info(name, TensorProto.FLOAT, sizes)
+
+
+def every_node(nodes: Iterable[onnx.NodeProto]) -> Iterator[onnx.NodeProto]:
+    """The nodes, and those in the bodies of loops."""
+    for node in nodes:
+        yield node
+        for attribute in node.attribute:
+            if attribute.HasField("g"):
+                yield from every_node(attribute.g.node)
 
 
 def as_model(graph: onnx.GraphProto, opset: int = OPSET) -> onnx.ModelProto:

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from ..geometry.primitives import Ball, spiral_lights
 from ..shading.functional import oren_nayar
-from .nodes import Nodes, as_model, inline
+from .nodes import Nodes, as_model, every_node, floats, inline
 from .traced_steps import load_step
 
 if TYPE_CHECKING:
@@ -119,15 +119,12 @@ class PixelGraph:
 
         for name, (value, _) in outputs.items():
             self.add.nodes.append(helper.make_node("Identity", [value], [name], name=f"output_{name}"))
-        used = {name for node in self.add.nodes for name in _inputs(node)}
+        used = {name for node in every_node(self.add.nodes) for name in node.input}
         arrays = {name: np.asarray(value) for name, value in self._constants.items() if name in used}
         constants = [
             numpy_helper.from_array(array.astype(np.float32 if array.dtype.kind == "f" else np.int64), name)
             for name, array in arrays.items()
         ]
-
-        def floats(name: str, sizes: list[int | str]) -> onnx.ValueInfoProto:
-            return helper.make_tensor_value_info(name, TensorProto.FLOAT, sizes)
 
         signature = [
             floats("images", ["lights", "channels", "height", "width"]),
@@ -137,12 +134,6 @@ class PixelGraph:
         maps = [floats(name, [channels, "height", "width"]) for name, (_, channels) in outputs.items()]
         initializers = [*constants, *self._traced_constants]
         return as_model(helper.make_graph(self.add.nodes, "stereo", signature, maps, initializers))
-
-
-def _inputs(node: onnx.NodeProto) -> list[str]:
-    """What a node reads, in loops too."""
-    bodies = (attribute.g for attribute in node.attribute if attribute.HasField("g"))
-    return [*node.input, *(name for body in bodies for inner in body.node for name in _inputs(inner))]
 
 
 def capture_trials(fewest_lights: int = 3) -> list[tuple[Tensor, ...]]:

@@ -15,7 +15,7 @@ from ..reflectance.models import get_model
 from ..render.normal_map import MAX_SIDE, check_size, rasterise
 from ..shading.functional import oren_nayar
 from .formula import Shading, trace_formula
-from .nodes import Nodes, as_model, inline
+from .nodes import Nodes, as_model, floats, inline
 from .shading_graph import shading_metadata
 from .task import ExportTask
 from .traced_steps import load_step
@@ -149,7 +149,7 @@ def _store(graph: onnx.GraphProto, values: dict[str, Tensor]) -> None:
 
 def _with_shading(shipped: onnx.ModelProto, model: str) -> onnx.ModelProto:
     """The renderer's graph with the inputs of `SHADING`, and ``shading`` (K, C, H, W) before its other outputs."""
-    from onnx import TensorProto, helper, numpy_helper
+    from onnx import helper, numpy_helper
 
     add = Nodes("shading_")
     toward = add("Unsqueeze", "light", "last_axes")
@@ -163,12 +163,9 @@ def _with_shading(shipped: onnx.ModelProto, model: str) -> onnx.ModelProto:
     shapes = {"last_axes": [2, 3], "channel": [1], "over_channels": [1, -1, 1, 1]}
     constants += [numpy_helper.from_array(torch.tensor(v).numpy(), name) for name, v in shapes.items()]
 
-    def floats(name: str, *sizes: str | int) -> onnx.ValueInfoProto:
-        return helper.make_tensor_value_info(name, TensorProto.FLOAT, sizes)
-
     graph = shipped.graph
-    inputs = floats("light", "lights", 3), floats("albedo", "channels"), floats("roughness", 1)
-    outputs = floats("shading", "lights", "channels", "height", "width"), *graph.output[:-1]
+    inputs = floats("light", ["lights", 3]), floats("albedo", ["channels"]), floats("roughness", [1])
+    outputs = floats("shading", ["lights", "channels", "height", "width"]), *graph.output[:-1]
     return as_model(
         helper.make_graph(
             [*graph.node, *add.nodes],
