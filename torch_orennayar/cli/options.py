@@ -16,42 +16,18 @@ if TYPE_CHECKING:
 
     from ..geometry.camera import Camera
 
-# `MODELS` itself would make `orennayar --help` wait for torch; tests/cli/test_choices.py compares them.
+# `MODELS` itself would make `orennayar --help` wait for torch; tests/cli/test_help.py compares them.
 ClosedForm = Literal["lambert", "qualitative", "qualitative-0.57", "fujii", "full", "vcavity", "eon"]
 ModelName = Literal[ClosedForm, "theory"]
 StereoModel = Literal["auto", ModelName, "network"]
 ShapeModel = Literal["auto", ModelName]
 Encoding = Literal["auto", "linear", "srgb"]
-LengthUnit = Literal["mm", "cm", "m", "in"]
 
 Output = Annotated[Path, typer.Option("-o", "--output", help="Folder for the results.")]
 Seed = Annotated[int, typer.Option(help="Seed of everything drawn at random.", min=0, max=2**63 - 1)]
-Model = Annotated[ModelName, typer.Option(help="Reflectance model; `orennayar info` describes them.")]
-Roughness = Annotated[float, typer.Option(help="Roughness in degrees, 0 to 90.", min=0, max=90)]
 LightFile = Annotated[Path | None, typer.Option(help="Light file outside the folder.")]
 ChromeFolder = Annotated[Path | None, typer.Option(help="Folder of a chrome ball under the same lights.")]
-PositionFile = Annotated[
-    Path | None, typer.Option(help="File of near lights: x y z from the object, right, up, to the camera, in mm.")
-]
-CameraDistance = Annotated[
-    float | None,
-    typer.Option("--camera-distance", help="Camera to object in mm, or in --unit, for --positions.", min=1),
-]
-UnitOption = Annotated[
-    LengthUnit | None, typer.Option(help="Unit of --positions where the file states none, and of --camera-distance.")
-]
-PixelSize = Annotated[
-    float | None,
-    typer.Option("--pixel-size", metavar="MM", help="Of the object, what a pixel of the photographs covers, in mm."),
-]
 Report = Annotated[bool, typer.Option(" /--no-report", help="Write no figures and no report.html.", show_default=False)]
-Animation = Annotated[
-    bool, typer.Option(" /--no-animation", help="Write no relight.gif and turntable.gif.", show_default=False)
-]
-RefineLights = Annotated[
-    bool, typer.Option("--refine-lights", help="Replace lights of the file that the photographs contradict.")
-]
-LeastSquares = Annotated[bool, typer.Option("--least-squares", help="Plain Lambertian least squares.")]
 MaskFile = Annotated[Path | None, typer.Option(help="Mask image outside the folder; white is the object.")]
 MaskChoice = Annotated[
     Path | None,
@@ -61,13 +37,11 @@ BallOutline = Annotated[
     str | None,
     typer.Option("--ball", metavar="X,Y,RADIUS", help="A mirror ball in the photographs: column, row, radius."),
 ]
-BallMask = Annotated[Path | None, typer.Option(help="Mask of that ball instead; white on the ball.")]
 Crop = Annotated[
     str | None, typer.Option(metavar="LEFT,TOP,WIDTH,HEIGHT", help="The part of the photographs to use, in pixels.")
 ]
 Scale = Annotated[float, typer.Option(help="Factor of the photographs' size, for quicker results.", min=0.01, max=1)]
 EncodingOption = Annotated[Encoding, typer.Option(help="Encoding of the images; auto: 8-bit files are sRGB.")]
-Size = Annotated[int, typer.Option(help="Height and width in pixels.", min=1, max=4096)]
 Azimuth = Annotated[float, typer.Option(help="Degrees by which the camera moves to the right.", min=-360, max=360)]
 Elevation = Annotated[float, typer.Option(help="Degrees by which it rises.", min=-89, max=89)]
 FieldOfView = Annotated[

@@ -17,10 +17,8 @@ from .options import (
     Elevation,
     FieldOfView,
     Light,
-    Model,
+    ModelName,
     Output,
-    Roughness,
-    Size,
     make_camera,
     parse_direction,
 )
@@ -35,14 +33,14 @@ if TYPE_CHECKING:
 def render(
     mesh: Annotated[Path, typer.Argument(help="OBJ, PLY, STL, GLB or OFF; it is centred and scaled to fit.")],
     output: Output = Path("out"),
-    roughness: Roughness = 30.0,
+    roughness: Annotated[float, typer.Option(help="Roughness in degrees, 0 to 90.", min=0, max=90)] = 30.0,
     albedo: Annotated[float, typer.Option(help="Albedo, 0 to 1.", min=0, max=1)] = 0.8,
     light: Light = "0.3,0.4,0.86",
     lights: Annotated[
         int, typer.Option(help="Also write a sheet under that many lights, 45 degrees off the view.", min=0, max=96)
     ] = 0,
-    model: Model = "vcavity",
-    size: Size = 512,
+    model: Annotated[ModelName, typer.Option(help="Reflectance model; `orennayar info` describes them.")] = "vcavity",
+    size: Annotated[int, typer.Option(help="Height and width in pixels.", min=1, max=4096)] = 512,
     azimuth: Azimuth = 0.0,
     elevation: Elevation = 0.0,
     fov: FieldOfView = None,

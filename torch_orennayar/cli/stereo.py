@@ -6,33 +6,25 @@ import math
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from ..core.errors import RangeError
 from ..core.files import check_output
 from .options import (
-    Animation,
-    BallMask,
     BallOutline,
-    CameraDistance,
     ChromeFolder,
     Crop,
     EncodingOption,
     FieldOfView,
-    LeastSquares,
     LightFile,
     MaskChoice,
     Output,
-    PixelSize,
-    PositionFile,
-    RefineLights,
     Report,
     Scale,
     Seed,
     StereoModel,
-    UnitOption,
     parse_vector,
 )
 
@@ -44,6 +36,32 @@ if TYPE_CHECKING:
     from ..reconstruction import Reconstruction
 
 
+PositionFile = Annotated[
+    Path | None, typer.Option(help="File of near lights: x y z from the object, right, up, to the camera, in mm.")
+]
+UnitOption = Annotated[
+    Literal["mm", "cm", "m", "in"] | None,
+    typer.Option(help="Unit of --positions where the file states none, and of --camera-distance."),
+]
+CameraDistance = Annotated[
+    float | None,
+    typer.Option("--camera-distance", help="Camera to object in mm, or in --unit, for --positions.", min=1),
+]
+PixelSize = Annotated[
+    float | None,
+    typer.Option("--pixel-size", metavar="MM", help="Of the object, what a pixel of the photographs covers, in mm."),
+]
+OwnIntensities = Annotated[
+    bool, typer.Option("--own-intensities", help="Estimate the lights' intensities from the capture itself.")
+]
+RefineLights = Annotated[
+    bool, typer.Option("--refine-lights", help="Replace lights of the file that the photographs contradict.")
+]
+Animation = Annotated[
+    bool, typer.Option(" /--no-animation", help="Write no relight.gif and turntable.gif.", show_default=False)
+]
+
+
 def stereo(
     capture: Annotated[Path, typer.Argument(help="Folder of images, with or without a light file, or .lp file.")],
     output: Output = Path("out"),
@@ -52,7 +70,7 @@ def stereo(
     mask: MaskChoice = None,
     chrome: ChromeFolder = None,
     ball: BallOutline = None,
-    ball_mask: BallMask = None,
+    ball_mask: Annotated[Path | None, typer.Option(help="Mask of that ball instead; white on the ball.")] = None,
     crop: Crop = None,
     scale: Scale = 1.0,
     positions: PositionFile = None,
@@ -62,11 +80,9 @@ def stereo(
     pixel_size: PixelSize = None,
     ambient: Annotated[Path | None, typer.Option(help="Photograph with all lights off; default: ambient.*.")] = None,
     encoding: EncodingOption = "auto",
-    own_intensities: Annotated[
-        bool, typer.Option("--own-intensities", help="Estimate the lights' intensities from the capture itself.")
-    ] = False,
+    own_intensities: OwnIntensities = False,
     refine_lights: RefineLights = False,
-    least_squares: LeastSquares = False,
+    least_squares: Annotated[bool, typer.Option("--least-squares", help="Plain Lambertian least squares.")] = False,
     report: Report = True,
     animation: Animation = True,
     seed: Seed = 0,
@@ -103,8 +119,7 @@ def stereo(
         output, found, loaded, title=capture.resolve().name, seconds=seconds, shown=shown, report=report,
         animation=animation, pixel_mm=pixel_size / scale if pixel_size else fov and _pixel_mm(loaded, distance, fov),
     )  # fmt: skip
-    if found.lights is not None or "lights-found" in {note.code for note in loaded.notes}:
-        _write_lights(output, loaded.lights if found.lights is None else found.lights, loaded.intensities)
+    _write_lights(output, loaded, found.lights)
     _say(written.numbers)
     _say_seconds(time.perf_counter() - begun, {"loading": ready - begun, "solving": seconds, **written.seconds})
     typer.echo(f"open {output / ('report.html' if report else 'mesh.glb')}")
@@ -114,11 +129,14 @@ def _say_seconds(total: float, steps: dict[str, float]) -> None:
     typer.echo(f"{total:.1f} s in all: {', '.join(f'{taken:.1f} {name}' for name, taken in steps.items())}")
 
 
-def _write_lights(output: Path, directions: Tensor, intensities: Tensor) -> None:
-    """Write lights that were found as files that `load_capture` reads, and say so."""
+def _write_lights(output: Path, loaded: Capture, found: Tensor | None) -> None:
+    """Write lights that were found, by the solver or on loading, as files that `load_capture` reads, and say so."""
     from ..io.light_files import DIRECTIONS_FILE, INTENSITIES_FILE, write_lights
 
-    write_lights(output, INTENSITIES_FILE, intensities)
+    if found is None and "lights-found" not in {note.code for note in loaded.notes}:
+        return
+    directions = loaded.lights if found is None else found
+    write_lights(output, INTENSITIES_FILE, loaded.intensities)
     typer.echo(f"wrote {write_lights(output, DIRECTIONS_FILE, directions)} for the next time")
 
 
