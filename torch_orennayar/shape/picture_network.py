@@ -35,7 +35,7 @@ DOUBT_WIDTH = 32
 MAX_BRIGHTNESS = 2.0
 """Times the picture's peak; brighter pixels are cut."""
 WEIGHTS = Path(__file__).with_name("picture_network.pt")
-"""File of the weights that ship, written by ``examples/train_single_picture.py``."""
+"""File of the weights that ship, written by ``scripts/fit/train_picture_network.py``."""
 
 
 class LearnedNormals(NamedTuple):

@@ -23,7 +23,7 @@ TOLERANCE = 0.02
 """Share of the best held-out score within which the simplest material is chosen. Set by hand."""
 MINNAERT_EXPONENTS = (1.05, 1.1, 1.15, 1.2, 1.3, 1.4)
 """Exponents of Minnaert's law that are tried. Set by hand: of 151 measured materials those under glaze have about 1.1,
-as noted when `solver.STEEP` was set; no script for it is kept."""
+as noted when `material_choice.STEEP` was set; no script for it is kept."""
 ROUGHNESSES = LEVELS[1:]
 """Roughnesses that are tried, radians."""
 FINE_EXPONENT = 0.025
