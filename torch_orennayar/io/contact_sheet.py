@@ -61,9 +61,8 @@ def small_pictures(
     count = len(images)
     if count == 0:
         return []
-    chosen = sorted({round(k * (count - 1) / max(MOST - 1, 1)) for k in range(min(MOST, count))})
-    if count <= MOST:
-        chosen = list(range(count))
+    shown = min(MOST, count)
+    chosen = [round(k * (count - 1) / max(shown - 1, 1)) for k in range(shown)]
     small = [_small(images[k]) for k in chosen]
     if intensities is not None:
         small = [s * intensities[k][:, None, None].to(s) for k, s in zip(chosen, small, strict=True)]

@@ -10,7 +10,7 @@ from ..stereo import robust_fit
 from ..stereo.material import Material
 from ..stereo.material_refinement import MIN_LIGHTS_HELD_OUT, capped_error
 from ..stereo.material_selection import hold_out
-from ..stereo.pixel_sample import PixelSample
+from ..stereo.pixel_sample import PixelSample, draw_places
 from ..stereo.robust_stats import in_light, mean_brightness
 from .srgb import linear_to_srgb
 
@@ -65,9 +65,7 @@ def _hold_out(lights: Tensor) -> tuple[Tensor, Tensor] | None:
 
 def _some(images: Tensor, inside: Tensor) -> Tensor:
     """Samples (K, C, P) of some pixels inside."""
-    places = inside.flatten().nonzero().flatten()
-    order = torch.randperm(len(places), generator=torch.Generator().manual_seed(0))
-    return images.flatten(2)[:, :, places[order[:PIXELS]]].float()
+    return images.flatten(2)[:, :, draw_places(inside, PIXELS, 0)].float()
 
 
 def _error(values: Tensor, lights: Tensor, held_out: tuple[Tensor, Tensor]) -> float:

@@ -9,15 +9,13 @@ import torch
 from torch import Tensor
 
 from ..core.errors import FileError, RangeError
-from .light_files import LightList, split_columns
+from .light_files import COLUMNS, LightList, split_columns
 from .light_text import clean_name, read_lines, split_row
 
 MILLIMETRES = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4, "": 1.0}
 """Of a unit that the name of a column may state."""
 _COORDINATE = re.compile(r"(?:led|light|lamp|pos|position)?[ _]*([xyz])[ _]*[\[(]?(mm|cm|m|in|)[\])]?", re.IGNORECASE)
 """The name of a column of positions: x, y or z, perhaps with a unit."""
-NAMES = ("name", "filename", "file", "image", "photo", "photograph")
-"""What the column of the photographs' names may be called."""
 LEAST_DISTANCE = 2.0
 """Length of the longest vector up to which positions are taken for directions, millimetres; set by hand."""
 
@@ -75,7 +73,7 @@ def _read_table(file: Path, lines: list[tuple[int, str]], unit: str | None) -> L
         raise FileError(
             str(file), expected=f"positions in {unit}", got=f"{stated} in the first line", mend="leave the unit out"
         )
-    named = next((place for place, cell in enumerate(header) if cell.lower() in NAMES), None)
+    named = next((place for place, cell in enumerate(header) if COLUMNS.get(cell.lower()) == "name"), None)
     names, rows = [], []
     for number, text in lines[1:]:
         cells = split_columns(text)

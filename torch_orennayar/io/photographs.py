@@ -59,14 +59,9 @@ def list_photographs(folder: Path, others: Sequence[Path]) -> list[Path]:
     def natural(file: Path) -> list[tuple[int, str]]:
         return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", file.name)]
 
-    results = written_files(folder)
-
-    def is_photograph(file: Path) -> bool:
-        hidden = file.name.startswith(".") or file.name in results or is_mask(file)
-        hidden = hidden or file.resolve() in {other.resolve() for other in others} or _is_odd(file)
-        return file.suffix.lower() in IMAGE_SUFFIXES and not hidden
-
-    found = sorted(filter(is_photograph, folder.iterdir()), key=natural)
+    known = {other.resolve() for other in others}
+    pictures = (f for f in _pictures(folder) if not (is_mask(f) or f.resolve() in known or _is_odd(f)))
+    found = sorted(pictures, key=natural)
     if not found:
         kinds = Counter(f.suffix.lower() or "no suffix" for f in folder.iterdir() if f.is_file())
         got = ", ".join(f"{count} {suffix}" for suffix, count in kinds.most_common(6)) or "no files"

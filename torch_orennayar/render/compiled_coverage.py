@@ -11,12 +11,9 @@ import math
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
+from ..core.compiled import Floats, Ints
 from .spans import DEPTH_BITS, FACE_BITS, GRID, ROWS
-
-Floats = npt.NDArray[np.float32]
-Ints = npt.NDArray[np.int64]
 
 STEPS = int(GRID)
 """Steps per pixel to which corners are rounded."""

@@ -13,6 +13,7 @@ from ..core.checks import check_mask, check_range, check_unit
 from ..core.errors import CaptureError, RangeError, ShapeError
 from ..geometry.camera import Camera
 from ..geometry.height_field import corner_rays, depth_to_height, pixel_size, resize
+from ..shading.precision import working_dtype
 
 START_ROUGHNESS = math.radians(25)
 """Radians; where the search for an unknown roughness starts. Set by hand, in the middle of what materials have."""
@@ -226,7 +227,7 @@ def build_scene(
         ShapeError: a map has another size than the picture.
         RangeError: albedo, roughness or ambient light out of range, or more ambient light than the picture holds.
     """
-    image = torch.where(inside, picture.image, 0).to(working_dtype(picture.image))
+    image = torch.where(inside, picture.image, 0).to(working_dtype(picture.image.dtype))
     peak = peak_brightness(image, inside)
     ambient = _map("ambient", picture.ambient, START_AMBIENT, image, inside)
     albedo = _map("albedo", picture.albedo, peak, image, inside)
@@ -256,11 +257,6 @@ def build_scene(
         prior=prior,
         noise_variance=_noise_variance(image / peak, inside),
     )
-
-
-def working_dtype(image: Tensor) -> torch.dtype:
-    """The precision that a picture is solved in."""
-    return torch.float64 if image.dtype == torch.float64 else torch.float32
 
 
 _RANGES = {

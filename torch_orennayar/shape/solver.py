@@ -20,9 +20,10 @@ from ..geometry.height_field import depth_to_height, height_to_depth, inflate, n
 from ..reconstruction import Reconstruction, confidence_from_error, stack
 from ..reflectance.model_choice import simplest_model
 from ..reflectance.models import get_model
+from ..shading.precision import working_dtype
 from .objective import MAX_ROUGHNESS, FitParameters, FitSettings, Reflectance, lit_pixels, shade
 from .prior import with_learned_prior
-from .scene import MIN_SHARE, Picture, PictureScene, Prior, Window, build_scene, working_dtype
+from .scene import MIN_SHARE, Picture, PictureScene, Prior, Window, build_scene
 from .surface_fit import coarse_to_fine, fit, follow_prior
 
 FRONTAL = math.radians(10)
@@ -155,7 +156,7 @@ def _solve(
     picture = picture.as_several()
     inside = picture.check()
     window = Window.around(inside)
-    mask = window.crop(inside.to(working_dtype(picture.image)))
+    mask = window.crop(inside.to(working_dtype(picture.image.dtype)))
     inflated = contour and picture.depth is None
     height = _start_height(picture.depth, mask, window, camera, contour)
     scene = build_scene(picture, inside, window, camera, Prior(normals(height, None, 1.0), None) if inflated else None)

@@ -24,7 +24,7 @@ from . import robust_fit
 from .interreflected_light import InterreflectedLight
 from .material import Material
 from .material_refinement import capped_error
-from .pixel_sample import SAMPLE_PIXELS, PixelSample
+from .pixel_sample import SAMPLE_PIXELS, PixelSample, draw_places
 from .robust_fit import PixelFit
 from .robust_stats import in_light, mean_brightness
 from .roughness_map import at_levels
@@ -93,9 +93,7 @@ def _sample_hollows(
     images: Tensor, lights: Tensor, inside: Tensor, interreflected: InterreflectedLight, seed: int
 ) -> tuple[PixelSample, Tensor, Tensor]:
     """Pixels in hollows, the light (P, K) that they receive from other parts, and that as a share of theirs, (P,)."""
-    places = inside.flatten().nonzero().flatten()
-    generator = torch.Generator().manual_seed(seed)
-    places = places[torch.randperm(len(places), generator=generator)[:CANDIDATES].to(places.device)]
+    places = draw_places(inside, CANDIDATES, seed)
     seen = images.flatten(2)[:, :, places].permute(2, 1, 0)
     received = interreflected.at(seen, places, images.shape[3]).mean(1)
     candidates = PixelSample.gather(images, lights, places)

@@ -16,7 +16,7 @@ from torch import Tensor
 from ..core.checks import check_mask
 from ..core.findings import Finding
 from ..core.warn import warn
-from .robust_stats import MAD_TO_SIGMA
+from .robust_stats import MAD_TO_SIGMA, angle_between
 from .unknown_lights import FoundLights, search_lights
 
 WRONG = 2.0
@@ -50,7 +50,7 @@ def refine_lights(images: Tensor, lights: Tensor, mask: Tensor, valid: Tensor | 
     seen = found.directions.double()
     mapped = F.normalize(seen @ _linear_map(seen, given), dim=1)
     refined = mapped if _agree(seen, mapped, given, found.uncertainty) else seen
-    apart = _degrees(refined, given)
+    apart = angle_between(refined, given).rad2deg()
     wrong = apart > WRONG
     findings = [f for f in found.findings if f.code == "lights-unequal"]
     for finding in findings:
@@ -78,8 +78,8 @@ def _agree(seen: Tensor, mapped: Tensor, given: Tensor, uncertainty: float) -> b
     They are not where they differ from those found by a linear map beyond its uncertainty, nor where so many are wrong
     on their own that the map, of nine numbers, is less certain than the lights found.
     """
-    together = _degrees(seen, mapped).median().item()
-    apart = _degrees(mapped, given)
+    together = angle_between(seen, mapped).rad2deg().median().item()
+    apart = angle_between(mapped, given).rad2deg()
     frame = apart.median().item() * math.sqrt(9 / (2 * len(given)))
     many_wrong = float((apart > WRONG).double().mean()) > MANY
     return together <= max(TOGETHER, STANDARD_ERRORS * uncertainty) and not (many_wrong and frame > uncertainty / 2)
@@ -99,7 +99,3 @@ def _linear_map(found: Tensor, given: Tensor) -> Tensor:
         scale = 2 * MAD_TO_SIGMA * apart.median() + math.radians(0.1)
         weight = 1 / (1 + (apart / scale).square())
     return matrix
-
-
-def _degrees(one: Tensor, other: Tensor) -> Tensor:
-    return torch.atan2(torch.linalg.cross(one, other).norm(dim=1), (one * other).sum(1)).rad2deg()

@@ -105,6 +105,13 @@ def gather_reduced(images: Tensor, inside: Tensor, pixels: int) -> tuple[Tensor,
     return torch.stack(seen, 1).cpu(), small.cpu()
 
 
+def draw_places(inside: Tensor, count: int, seed: int) -> Tensor:
+    """Indices of at most ``count`` pixels, drawn among ``inside`` (H, W) or (1, H, W) bool."""
+    places = inside.flatten().nonzero().flatten()
+    generator = torch.Generator().manual_seed(seed)
+    return places[torch.randperm(len(places), generator=generator)[:count].to(places.device)]
+
+
 def draw_tiles(lit: Tensor, seed: int) -> Tensor:
     """Indices of about as many pixels in square tiles, drawn among ``lit`` (H, W) bool, in ascending order."""
     rows, columns = (torch.arange(n, device=lit.device) // TILE for n in lit.shape)

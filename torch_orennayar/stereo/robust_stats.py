@@ -50,10 +50,14 @@ MAX_ANGLE = math.radians(20)
 """Radians at which angles between normals are cut when materials are compared; set by hand."""
 
 
+def angle_between(first: Tensor, second: Tensor) -> Tensor:
+    """Angles between unit vectors (P, 3), (P,) radians."""
+    return torch.atan2(torch.linalg.cross(first, second).norm(dim=1), (first * second).sum(1))
+
+
 def capped_angle(first: Tensor, second: Tensor) -> Tensor:
-    """Angles between unit vectors (P, 3), each cut at `MAX_ANGLE`, (P,) radians."""
-    angle = torch.atan2(torch.linalg.cross(first, second).norm(dim=1), (first * second).sum(1))
-    return angle.clamp(max=MAX_ANGLE)
+    """`angle_between`, each cut at `MAX_ANGLE`."""
+    return angle_between(first, second).clamp(max=MAX_ANGLE)
 
 
 def mean_brightness(grey: Tensor) -> Tensor:

@@ -29,7 +29,7 @@ from .mixed_fit import Mixture
 from .near_evidence import check_distant_lights
 from .network_solver import NETWORK, TRAINED_LIGHTS, solve_by_network
 from .normal_fill import fill_normals
-from .pixel_sample import SAMPLE_PIXELS, PixelSample, draw_tiles
+from .pixel_sample import SAMPLE_PIXELS, PixelSample, draw_places, draw_tiles
 from .robust_stats import Used
 from .row_bands import solve_bands
 from .solved_maps import SolvedMaps
@@ -159,7 +159,7 @@ def _solve_known(
     inside = check_shapes(images, lights, mask)
     images, clipped = leave_out(images, find_valid(images, inside, valid), inside)
     dark = find_dark_pixels(images, inside)
-    sample = PixelSample.gather(images, lights, _draw_places(inside & ~dark, seed))
+    sample = PixelSample.gather(images, lights, draw_places(inside & ~dark, SAMPLE_PIXELS, seed))
     findings = check_directions(sample.directions) + clipped
     if robust and lights.ndim == 2:  # maps of near lights are refined with the surface, and misfit until then
         findings += check_distant_lights(sample, inside) + doubt_brightness(sample)
@@ -230,13 +230,6 @@ def _check_model(model: str, robust: bool) -> None:
         raise CaptureError(
             "robust", expected="True, or model='lambert'", got=f"False with {model!r}", mend="change one of them"
         )
-
-
-def _draw_places(lit: Tensor, seed: int) -> Tensor:
-    """Indices of the pixels on which material and roughness are decided, drawn among ``lit`` (H, W) bool."""
-    places = lit.flatten().nonzero().flatten()
-    generator = torch.Generator().manual_seed(seed)
-    return places[torch.randperm(len(places), generator=generator)[:SAMPLE_PIXELS].to(places.device)]
 
 
 def _observations_used(model: str, robust: bool) -> Used:
