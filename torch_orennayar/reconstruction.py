@@ -48,7 +48,7 @@ class Reconstruction:
         depth: (1, H, W); None from photometric stereo under distant lights, where `integrate_normals` gives it.
         ambient: (1, H, W) light from all around as a share of the light, given or estimated, 0 outside the mask;
             `shade` leaves it out. None from photometric stereo.
-        lights: (K, 3) unit directions that photometric stereo found where none were given, or refined; else None.
+        lights: (K, 3) unit directions that were found where none were given, or refined; else None.
         intensities: (K, 1) or (K, C) brightness of the lights by which it divided the images; None where that was 1.
         material: (1, H, W) int64 index of each pixel's material where photometric stereo found several, -1 outside the
             mask; the finding ``materials`` describes them. ``model`` is then ``"lambert"`` only if all are,

@@ -22,6 +22,7 @@ import os
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -271,6 +272,23 @@ def by_count(data: Path) -> dict[str, Rows]:
     return rows
 
 
+def without_light(data: Path) -> Rows:
+    """Error of the light that is found, what is said of it, and the normals' median error with both lights, degrees."""
+    rows: Rows = {}
+    for case in track(pictures(data, 2), "unknown lights"):
+        unknown = partial(
+            shape_from_shading, case.image, mask=case.mask, albedo=case.albedo, roughness=case.roughness,
+            ambient=case.ambient, model="vcavity",
+        )  # fmt: skip
+        found, given = unknown(None), unknown(case.light)
+        assert found.lights is not None
+        (said,) = (note.value or 0.0 for note in found.report if note.code == "light-found")
+        off = torch.rad2deg((found.lights[0] @ case.light).clamp(-1, 1).acos())
+        medians = (angular_error(f.normal, case.normal.float(), case.mask).summary()["median"] for f in (found, given))
+        rows[case.name] = dict(zip(("off", "said", "found", "given"), (float(off), said, *medians), strict=True))
+    return rows
+
+
 def measure_all(title: str, cases: list[Case]) -> dict[str, Rows]:
     """Median and mean error and seconds by case and method; printed."""
     results = {c.name: measure(c) for c in track(cases, title, len(cases))}
@@ -285,7 +303,7 @@ def measure_all(title: str, cases: list[Case]) -> dict[str, Rows]:
 def main() -> None:
     """Measure, print and record."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    sections = ("surfaces", "pictures", "steps", "ambient", "failures", "sizes", "counts")
+    sections = ("surfaces", "pictures", "steps", "ambient", "failures", "sizes", "counts", "light")
     parser.add_argument("--data", type=Path, default=Path(os.environ.get("TORCH_ORENNAYAR_DATA", "none")))
     parser.add_argument("--sections", nargs="+", choices=sections, default=sections)
     parser.add_argument("--quick", action="store_true", help="smaller pictures, fewer roughnesses")
@@ -299,15 +317,16 @@ def main() -> None:
         "failures": lambda: failures(quick),
         "sizes": sizes,
         "counts": lambda: by_count(options.data),
+        "light": lambda: without_light(options.data),
     }
     for title in options.sections:
-        if title in ("pictures", "counts") and not (options.data / "diligent").is_dir():
+        if title in ("pictures", "counts", "light") and not (options.data / "diligent").is_dir():
             continue
         found = work[title]()
         if title not in ("surfaces", "pictures"):
             print(f"{title}: {found}")
-        partial = [title] if quick and title != "sizes" else []
-        record("evaluate_shape_from_shading", {title: {"size": size, "found": found}}, quick=partial)
+        quickly = [title] if quick and title not in ("sizes", "light") else []
+        record("evaluate_shape_from_shading", {title: {"size": size, "found": found}}, quick=quickly)
 
 
 if __name__ == "__main__":

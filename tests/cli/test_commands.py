@@ -204,6 +204,9 @@ def test_shape_from_one_photograph(orennayar: Run, tmp_path: Path) -> None:
     assert "ambient light 0." in guessed.out
     for given in ((*command, "--ambient", 0.05), command[:2] + command[4:]):  # or without a mask
         assert "ambient light" not in orennayar(*given).out
+    with pytest.warns(UserWarning, match="no light was given"):
+        assert "no light was given" in orennayar(*command[:6]).out
+    assert "outline is seen" in orennayar(*command[:2], "-o", out).err
     dark = orennayar(*command[:6], "--light", 0, 0, -1)
     assert dark.status == 1
     assert "swap_opencv_frame" in dark.err

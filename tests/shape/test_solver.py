@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import partial
 
 import pytest
 import torch
@@ -410,20 +411,17 @@ class TestWindow:
             }.items()
         }
         image = F.pad(image, around)
-        given = shape_from_shading(image, LIGHT, inside, albedo=0.8, roughness=0.5, camera=camera)
+        solve = partial(shape_from_shading, image, mask=inside, camera=camera, silhouette=0.0)  # by the picture alone
+        given = solve(LIGHT, albedo=0.8, roughness=0.5)
         light, albedo, roughness, ambient = maps.values()
-        mapped = shape_from_shading(
-            image, light, inside, albedo=albedo, roughness=roughness, ambient=ambient, camera=camera
-        )
+        mapped = solve(light, albedo=albedo, roughness=roughness, ambient=ambient)
         assert mapped.depth is not None
         assert angular_error(mapped.normal, given.normal, inside).summary()["mean"] < 0.2
         place = tuple(inside[0].nonzero()[400])
         known = nowhere.clone()
         known[0, place[0], place[1]] = 2.5
         start = torch.where(inside, mapped.depth * 2.5 / mapped.depth[0, place[0], place[1]], nowhere)
-        again = shape_from_shading(
-            image, LIGHT, inside, albedo=0.8, roughness=0.5, camera=camera, depth=start, known=known
-        )
+        again = solve(LIGHT, albedo=0.8, roughness=0.5, depth=start, known=known)
         assert again.depth is not None
         assert again.depth[0, place[0], place[1]].item() == pytest.approx(2.5, rel=0.01)
         assert angular_error(again.normal, given.normal, inside).summary()["mean"] < 1
@@ -444,3 +442,25 @@ class TestWindow:
         light = torch.where(mask, torch.tensor([0.0, 0.0, 1.0]).reshape(3, 1, 1), math.nan)
         with pytest.warns(UserWarning, match="within 10 degrees"):
             shape_from_shading(image, light, mask, albedo=0.8, roughness=0.5)
+
+
+@pytest.mark.parametrize("name", ["sphere cap", "bumpy ellipsoid"])
+@pytest.mark.slow
+def test_a_light_that_nobody_knows_is_found(name: str) -> None:
+    """About as far off as is said; then the normals are off by little more than the light."""
+    field, light = height_fields.make(name, 96), light_at(35, azimuth=200.0)
+    image = photograph(field, light, math.radians(20), albedo=0.8)
+    with pytest.warns(UserWarning, match="no light was given"):
+        found = shape_from_shading(image, None, field.mask, albedo=None, roughness=math.radians(20))
+    assert found.lights is not None
+    off = math.degrees(math.acos(float(found.lights[0] @ light)))
+    (said,) = (note.value for note in found.report if note.code == "light-found")
+    assert said is not None
+    assert off < 2 * said < 40
+    assert angular_error(found.normal, field.normal.float(), field.mask).summary()["median"] < off + 6
+
+
+def test_a_light_cannot_be_found_without_an_outline_or_for_several_pictures() -> None:
+    for image, contour in ((torch.rand(1, 8, 8) + 0.1, False), (torch.rand(1, 2, 1, 8, 8) + 0.1, True)):
+        with pytest.raises(RangeError, match="outline is seen"):
+            shape_from_shading(image, None, contour=contour)

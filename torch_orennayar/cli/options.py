@@ -48,13 +48,8 @@ FieldOfView = Annotated[
     float | None,
     typer.Option(help="Vertical view in degrees; default: orthographic; with --positions required.", min=1, max=170),
 ]
-Light = Annotated[
-    str,
-    typer.Option(
-        metavar="X,Y,Z",
-        help="Direction to the light, of any length: right, up, toward the viewer; its place from the object will do.",
-    ),
-]
+LIGHT_HELP = "Direction to the light, of any length: right, up, toward the viewer; its place from the object will do."
+Light = Annotated[str, typer.Option(metavar="X,Y,Z", help=LIGHT_HELP)]
 
 VECTORS = {"--light": 3, "--circle": 3, "--ball": 3, "--crop": 4}
 """Options that take several numbers, and how many, with commas or with spaces between them."""

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import math
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from ..core.files import check_output
-from .options import EncodingOption, Light, MaskFile, Output, ShapeModel, parse_direction
+from .options import LIGHT_HELP, EncodingOption, MaskFile, Output, ShapeModel, parse_direction
 
 
 def shape(
     image: Annotated[Path, typer.Argument(help="One photograph of an object under one light.")],
-    light: Light,
+    light: Annotated[
+        str | None, typer.Option(metavar="X,Y,Z", help=f"{LIGHT_HELP} Default: sought, with --mask.")
+    ] = None,
     output: Output = Path("out"),
     roughness: Annotated[
         float | None, typer.Option(help="Roughness in degrees, 0 to 90; default: estimated.", min=0, max=90)
@@ -34,13 +37,16 @@ def shape(
     ] = True,
     encoding: EncodingOption = "auto",
 ) -> None:
-    """One photograph under a known light in; depth, normals and a mesh out."""
+    """One photograph under one light in; depth, normals and a mesh out.
+
+    The light is sought where none is given, in the outline of the mask.
+    """
     from ..io.capture import load_photograph
     from ..io.results import RECONSTRUCTION_FILES, write_reconstruction
     from ..shape.solver import shape_from_shading
 
     check_output(output, RECONSTRUCTION_FILES)
-    direction = parse_direction("--light", light)
+    direction = None if light is None else parse_direction("--light", light)
     loaded = load_photograph(image, direction, mask=mask, encoding=encoding)
     begun = time.perf_counter()
     found = shape_from_shading(
@@ -54,6 +60,7 @@ def shape(
         contour=contour and mask is not None,
     )
     seconds = time.perf_counter() - begun
+    loaded = loaded if found.lights is None else replace(loaded, lights=found.lights)
     written = write_reconstruction(output, found, loaded, title=image.stem, seconds=seconds)
     for sentence in written.numbers["report"]:
         typer.echo(sentence)

@@ -59,6 +59,7 @@ CODES: dict[str, str] = {
     "albedo-above-one": "number of pixels whose albedo exceeds 1",
     "lights-close-together": "condition number of the light directions",
     # shape from shading
+    "light-found": "the direction to the light was found from outline and shading; value: within how many degrees",
     "network-start": "normals that a network read were the start; value: the error that it expects, degrees",
     "outline-trusted": "the inflated silhouette was the start: it explains the picture better than the network",
     "inside-out": "the same surface with dents for bumps explains the picture about as well",

@@ -285,7 +285,7 @@ def _check_encoding(encoding: str) -> None:
 @independent_of_defaults
 def load_photograph(
     path: str | os.PathLike[str],
-    light: Tensor,
+    light: Tensor | None,
     *,
     mask: str | os.PathLike[str] | None = None,
     encoding: str = "auto",
@@ -294,7 +294,7 @@ def load_photograph(
 
     Args:
         path: the picture.
-        light: (3,) unit direction to the light.
+        light: (3,) unit direction to the light; where it is not known, None, the capture states the view's.
         mask: its mask file; white is the object; default: all pixels.
         encoding: as in `load_capture`.
 
@@ -310,7 +310,8 @@ def load_photograph(
     size = (images.shape[2], images.shape[3])
     inside, about_mask = read_mask(None if mask is None else Path(mask), size)
     notes = (*notes, *about_mask)
-    return Capture(images, light[None], torch.ones(1, 3), inside, None, (Path(path).name,), notes, valid)
+    stated = torch.tensor((0.0, 0.0, 1.0)) if light is None else light
+    return Capture(images, stated[None], torch.ones(1, 3), inside, None, (Path(path).name,), notes, valid)
 
 
 @independent_of_defaults

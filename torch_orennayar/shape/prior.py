@@ -62,21 +62,28 @@ def _read(scene: PictureScene, *, albedo_unknown: bool) -> Prior:
 
 
 def _misfit(scene: PictureScene, normal: Tensor, model: str, albedo_unknown: bool) -> float:
-    """How far the picture is from the shading of normals (3, H, W): median of bright pixels, as a share of their mean.
-
-    Of an unknown albedo the one that fits in the middle is taken.
-    """
+    """`misfit` of the shading of normals (3, H, W) in the bright pixels of all pictures."""
     shaded = shade(scene, Reflectance(scene.albedo, scene.roughness, scene.ambient), normal, model).mean(1)
     grey = scene.image.mean(1)
-    bright = (scene.mask[0] > 0) & (grey > DARKEST * scene.peak) & (shaded > DARKEST * scene.peak)
-    if not bool(bright.any()):
+    bright = (scene.mask[0] > 0) & (grey > DARKEST * scene.peak)
+    return misfit(grey[bright], shaded[bright], scaled=albedo_unknown)
+
+
+def misfit(seen: Tensor, shaded: Tensor, *, scaled: bool) -> float:
+    """Median difference of brightness (P,) and shading (P,) as a share of the mean brightness.
+
+    Args:
+        seen: of pixels that are not dark.
+        shaded: the same pixels under a model.
+        scaled: whether the albedo is unknown: then the one counts that makes the sum of all differences least.
+    """
+    if not len(seen):
         return math.inf
-    seen, shown = grey[bright], shaded[bright]
-    if albedo_unknown:
-        ratio, order = (seen / shown).sort()
-        passed = shown[order].cumsum(0)
-        shown = shown * ratio[int((passed < passed[-1] / 2).sum())]  # the least sum of absolute differences
-    return float((seen - shown).abs().median() / seen.mean())
+    if scaled:
+        ratio, order = (seen / shaded.clamp_min(1e-9)).sort()
+        passed = shaded[order].cumsum(0)
+        shaded = shaded * ratio[int((passed < passed[-1] / 2).sum())]
+    return float((seen - shaded).abs().median() / seen.mean())
 
 
 def _paint_edges(scene: PictureScene, normal: Tensor) -> float:

@@ -41,7 +41,7 @@ class Picture:
     """The caller's inputs for one surface, with the shapes that `shape_from_shading` documents, or a batch of them."""
 
     image: Tensor
-    light: Tensor
+    light: Tensor | None
     mask: Tensor | None
     albedo: Known
     roughness: Known
@@ -67,11 +67,14 @@ class Picture:
 
     def as_several(self) -> Picture:
         """One picture (C, H, W) under its light as the first of several, (1, C, H, W)."""
-        return replace(self, image=self.image[None], light=self.light[None]) if self.image.ndim == 3 else self
+        if self.image.ndim > 3 or self.light is None:
+            return self
+        return replace(self, image=self.image[None], light=self.light[None])
 
     def check(self) -> Tensor:
         """Check shapes and values of pictures (K, C, H, W) of one surface; returns their mask, (1, H, W) bool."""
         image, light = self.image, self.light
+        assert light is not None  # it is sought first
         if image.ndim != 4 or 0 in image.shape:
             got = str(tuple(image.shape))
             raise ShapeError("image", expected="(C, H, W) or (K, C, H, W)", got=got, mend="one image, or a batch")
@@ -234,6 +237,7 @@ def build_scene(
     given = picture.albedo is not None and picture.ambient is not None
     if given and not bool((image > albedo * ambient)[..., inside[0]].any()):
         raise RangeError("ambient", expected="less light than in the picture", got="more", mend="0.1 is a tenth")
+    assert picture.light is not None  # it is sought first
     light = picture.light.to(image)
     view, rays, pixel_angle = image.new_tensor((0.0, 0.0, 1.0)).reshape(3, 1, 1), None, 1.0
     if camera is not None and camera.is_perspective:

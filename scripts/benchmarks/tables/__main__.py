@@ -53,6 +53,7 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "shape sizes": shape.sizes,
     "shape failures": shape.failures,
     "shape counts": shape.counts,
+    "shape light": shape.light,
     "models": shading.models,
     "model errors": shading.model_errors,
     "model properties": shading.properties,

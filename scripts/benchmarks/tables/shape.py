@@ -115,6 +115,17 @@ def counts() -> str:
     return f"{section.source}\n\n{table(['mean error in degrees; pictures', *numbers], rows)}"
 
 
+def light() -> str:
+    """Photographs whose light is found, beside the same with it given."""
+    section = load_section(SHAPE, "light")
+    found = section.results["found"]
+    keys = ("off", "said", "found", "given")
+    rows = [[name, *(fixed(row[key], 1) for key in keys)] for name, row in found.items()]
+    rows.append(["mean", *(fixed(sum(row[key] for row in found.values()) / len(found), 1) for key in keys)])
+    head = ["degrees", "light off by", "said to be within", "median error, light found", "light given"]
+    return f"{section.source}\n\n{table(head, rows)}"
+
+
 def failures() -> str:
     """Error by light and roughness, with and without the contour."""
     section = load_section(SHAPE, "failures")
