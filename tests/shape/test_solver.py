@@ -464,3 +464,12 @@ def test_a_light_cannot_be_found_without_an_outline_or_for_several_pictures() ->
     for image, contour in ((torch.rand(1, 8, 8) + 0.1, False), (torch.rand(1, 2, 1, 8, 8) + 0.1, True)):
         with pytest.raises(RangeError, match="outline is seen"):
             shape_from_shading(image, None, contour=contour)
+
+
+@pytest.mark.slow
+def test_a_light_that_the_picture_does_not_determine_is_refused() -> None:
+    """Noise has no light."""
+    field = height_fields.make("bumpy ellipsoid", 64)
+    noise = torch.rand(1, 64, 64, generator=torch.Generator().manual_seed(0)) * field.mask
+    with pytest.raises(CaptureError, match="determines its light"):
+        shape_from_shading(noise, None, field.mask, albedo=None)

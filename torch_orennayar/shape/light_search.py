@@ -10,7 +10,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from ..core.checks import check_mask
-from ..core.errors import RangeError
+from ..core.errors import CaptureError, RangeError
 from ..core.findings import Finding
 from ..core.progress import track
 from ..core.warn import warn
@@ -31,6 +31,11 @@ OUTLINE_WEIGHT, SOFTNESS = 1.0, 0.1
 """What one minus the cosine to the outline's light adds to the misfit as a share of the least one, and by how much that
 may be larger for a light to count a third. Set by hand: on 8 photographs and 26 renders the light found errs by 11
 degrees in the mean, 13 in the root mean square, and the spread of what counts is 14."""
+UNKNOWN = 30.0
+"""Degrees of the standard error from which the light counts as not found; set by hand."""
+UNEXPLAINED = 0.25
+"""Least misfit, as a share of the brightness, from which no light explains the picture. Set by hand: up to .16 on 7
+photographs and 26 renders, .3 on one of a surface full of folds, .4 and more on noise."""
 ROUNDS = 20
 """Rounds of reweighting in which the outline's light is found; set by hand."""
 FAR_OFF = 2.0
@@ -42,6 +47,7 @@ def with_found_light(picture: Picture, *, contour: bool) -> tuple[Picture, list[
 
     Raises:
         RangeError: several pictures, or no occluding contour, without which nothing tells the light.
+        CaptureError: the picture does not determine its light within `UNKNOWN`.
     """
     if picture.image.ndim != 3 or not contour:
         raise RangeError(
@@ -51,6 +57,13 @@ def with_found_light(picture: Picture, *, contour: bool) -> tuple[Picture, list[
             mend="give the direction to the light, or the mask of an object whose outline is seen",
         )
     direction, spread = search_light(picture.image, check_mask(picture.mask, picture.image[None]))
+    if spread > UNKNOWN:
+        raise CaptureError(
+            "image",
+            expected=f"a picture that determines its light within {UNKNOWN:.0f} degrees, where it is not given",
+            got=f"one that leaves it uncertain by {spread:.0f} degrees",
+            mend="give the direction to the light",
+        )
     x, y, z = direction.tolist()
     text = (
         f"no light was given: {x:.2f}, {y:.2f}, {z:.2f} (right, up, toward the viewer) was found from outline and "
@@ -62,7 +75,7 @@ def with_found_light(picture: Picture, *, contour: bool) -> tuple[Picture, list[
 
 @torch.no_grad()
 def search_light(image: Tensor, inside: Tensor) -> tuple[Tensor, float]:
-    """Unit direction (3,) to the light and its standard error in degrees.
+    """Unit direction (3,) to the light and its standard error in degrees, 90 where no light explains the picture.
 
     For every candidate the network reads the normals, and the less these explain the picture under that light, the less
     the candidate counts; one far from the light that fits the inflated silhouette counts less, too.
@@ -86,6 +99,8 @@ def search_light(image: Tensor, inside: Tensor) -> tuple[Tensor, float]:
         shaded = (normal * direction[:, None]).sum(0).clamp_min(0)
         unlike.append(misfit(brightness[lit], shaded[lit], scaled=True))
     score = torch.tensor(unlike, dtype=torch.float64)
+    if float(score.min()) > UNEXPLAINED:
+        return outline, 90.0
     score = score / score.min().clamp_min(1e-9) - 1 + OUTLINE_WEIGHT * (1 - tried @ outline)
     weight = (-(score - score.min()) / SOFTNESS).exp()
     found = F.normalize((weight[:, None] * tried).sum(0), dim=0)

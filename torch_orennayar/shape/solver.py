@@ -82,7 +82,7 @@ def shape_from_shading(
             (B, K, C, H, W).
         light: (3,) or (B, 3) unit direction to a distant light; of a near one a map, (3, H, W) or (B, 3, H, W). Of K
             pictures (B, K, 3) or (B, K, 3, H, W). None to find it from outline and shading, for one picture of an
-            object whose outline is seen: it errs by 11 degrees in the mean, and the report says by how much it may.
+            object whose outline is seen: the report says by how much it may err, mostly 5 to 20 degrees.
         mask: (1, H, W) or (B, 1, H, W) bool; default all pixels.
         albedo: number or map (1 or C, H, W), with B in front for batches; None to estimate one number.
         roughness: radians, number or map (1, H, W), with B in front for batches; None to estimate one number.
@@ -113,7 +113,7 @@ def shape_from_shading(
         ShapeError: shapes do not fit together.
         RangeError: an unknown prior, no light for several pictures or without a contour, NaN inside the mask, a light
             that is no unit vector or behind the surface, albedo, roughness or ambient light out of range.
-        CaptureError: an empty mask, or no light in the picture.
+        CaptureError: an empty mask, no light in the picture, or a light that it does not determine.
         ModelError: unknown model.
 
     Source:

@@ -120,8 +120,9 @@ def light() -> str:
     section = load_section(SHAPE, "light")
     found = section.results["found"]
     keys = ("off", "said", "found", "given")
-    rows = [[name, *(fixed(row[key], 1) for key in keys)] for name, row in found.items()]
-    rows.append(["mean", *(fixed(sum(row[key] for row in found.values()) / len(found), 1) for key in keys)])
+    rows = [[name, *(fixed(row[key], 1) if key in row else "refused" for key in keys)] for name, row in found.items()]
+    solved = [row for row in found.values() if "found" in row]
+    rows.append([f"mean of {len(solved)}", *(fixed(sum(row[key] for row in solved) / len(solved), 1) for key in keys)])
     head = ["degrees", "light off by", "said to be within", "median error, light found", "light given"]
     return f"{section.source}\n\n{table(head, rows)}"
 
