@@ -35,7 +35,7 @@ UNKNOWN = 30.0
 """Degrees of the standard error from which the light counts as not found; set by hand."""
 UNEXPLAINED = 0.25
 """Least misfit, as a share of the brightness, from which no light explains the picture. Set by hand: up to .16 on 7
-photographs and 26 renders, .3 on one of a surface full of folds, .4 and more on noise."""
+photographs and 26 renders, .3 on one of a surface full of folds and on noise."""
 ROUNDS = 20
 """Rounds of reweighting in which the outline's light is found; set by hand."""
 FAR_OFF = 2.0
