@@ -14,12 +14,14 @@ from torch import Tensor
 
 from tests.support import height_fields
 from tests.support.height_fields import light_at, photograph
+from tests.support.objects import run_graph
 from torch_orennayar import (
     FileError,
     Ingredients,
     SyntheticCaptures,
     SyntheticImages,
     angular_error,
+    export_onnx,
     shape_from_shading,
     silhouette_normals,
 )
@@ -165,3 +167,20 @@ def test_untrained_it_returns_the_inflated_silhouette() -> None:
     found = learned_normals(image, light, field.mask, PictureNetwork()).normal
     assert angular_error(found, silhouette_normals(field.mask), field.mask).summary()["median"] < 2
     assert F.cosine_similarity(found, silhouette_normals(field.mask), dim=0)[field.mask[0]].mean() > 0.99
+
+
+@pytest.mark.slow
+def test_the_network_becomes_a_graph(tmp_path: Path) -> None:
+    """For any number of pictures; the weights do not matter."""
+    torch.manual_seed(0)
+    network = PictureNetwork((8, 16, 16, 16)).eval()
+    for parameter in network.mend.parameters():
+        torch.nn.init.normal_(parameter, std=0.1)
+    names, example = ("normal", "error"), (torch.rand(2, 8, 64, 64),)
+    target = tmp_path / "network.onnx"
+    path = export_onnx(network, target, example_inputs=example, input_names=("maps",), output_names=names)
+    maps = torch.rand(3, 8, 64, 64)
+    with torch.no_grad():
+        wanted = dict(zip(names, network(maps), strict=True))
+    for name, found in run_graph(path, 0, maps=maps).items():
+        assert torch.allclose(found, wanted[name], atol=1e-5)

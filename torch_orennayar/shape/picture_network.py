@@ -161,7 +161,7 @@ class PictureNetwork(nn.Module):
             x = self.decode[k](kept[k] + self.up[k](F.interpolate(x, scale_factor=2, mode="nearest")))
         start = maps[:, :3] + maps.new_tensor((0.0, 0.0, 1e-3)).reshape(1, 3, 1, 1)
         normal = F.normalize((start + F.pixel_shuffle(self.mend(x), 2)).float(), dim=1)
-        error = F.pixel_shuffle(self.doubt(x.detach(), deepest.detach()), 2).float().clamp(-4, 0.5).exp()
+        error = F.pixel_shuffle(self.doubt(x.detach(), deepest.detach()), 2).float().clamp(-4.0, 0.5).exp()
         return normal, error
 
 
