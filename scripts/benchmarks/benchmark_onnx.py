@@ -5,8 +5,8 @@
 `shading`: one picture of 512 and 1024 pixels squared, one light, grey albedo: torch eager and compiled, ONNX Runtime
 with 1 and 2 threads and, where Chromium, npm and Playwright are installed, the page's WASM with 1 and with all threads;
 `portable` is the graph without a loop over bands of rows. `renderer`: the graph that takes the view, with a sphere of
-20,480 triangles. Medians; errors are against float64. `stereo`, with a capture: how long both `stereo` graphs take for
-it, and the angle of their normals to torch's. Recorded in results/benchmark_onnx.json.
+20,480 triangles. `integration`: a ball. Medians; errors are against float64. `stereo`, with a capture: how long both
+`stereo` graphs take for it, and the angle of their normals to torch's. Recorded in results/benchmark_onnx.json.
 """
 
 from __future__ import annotations
@@ -31,6 +31,8 @@ from scripts.benchmarks.record import record
 from scripts.benchmarks.timing import interleave
 from tests.support.example_code import CAN_BROWSE, CHROMIUM, served_page
 from tests.support.objects import opened_graph
+from torch_orennayar.geometry.primitives import Ball
+from torch_orennayar.geometry.smooth_integration import integrate_smooth
 from torch_orennayar.stereo.closed_form import solve_closed_form
 from torch_orennayar.stereo.network_solver import solve_network
 
@@ -152,6 +154,21 @@ def render(folder: Path) -> dict[str, dict[str, Row]]:
     return found
 
 
+def integrate(folder: Path) -> dict[str, dict[str, Row]]:
+    """The graph of integration on a ball that fills the picture, by side and number of threads; errors in pixels."""
+    graph = ton.export_onnx("integration", folder / "integration.onnx")
+    found: dict[str, dict[str, Row]] = {}
+    for side in SIDES:
+        normal, mask = Ball(side / 2, side / 2, 0.48 * side).normals((side, side))
+        exact = integrate_smooth(normal.double(), mask)
+        feeds = {"normal": normal.numpy(), "mask": mask.numpy()}
+        for threads in (1, 2):
+            run = functools.partial(opened_graph(graph, threads).run, ["depth"], feeds)
+            error = (torch.from_numpy(run()[0]).double() - exact).abs().max().item()
+            found.setdefault(str(side), {})[f"{threads} thread{'s' * (threads > 1)}"] = median(run), error
+    return found
+
+
 def in_browser(page: Page, model: str, side: int) -> tuple[str, Row]:
     """Name of the runner, and its milliseconds and error."""
     exact = scene(side).exact(model)
@@ -210,7 +227,7 @@ def solve_capture(folder: Path) -> dict[str, dict[str, float]]:
 def main() -> None:
     """Measure, print and record."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--models", nargs="+", default=["lambert", "qualitative", "vcavity"])
+    parser.add_argument("--models", nargs="*", default=["lambert", "qualitative", "vcavity"])
     parser.add_argument("--capture", type=Path)
     options = parser.parse_args()
     sections: dict[str, object] = {}
@@ -228,6 +245,8 @@ def main() -> None:
                     print(f"{model:24}{side:6}  {name:24}{milliseconds:9.1f} ms {error:11.1e}")
             sections[f"shading, {model}"] = sides
         sections["renderer"] = render(Path(folder))
+        sections["integration"] = integrate(Path(folder))
+        print(f"integration: {sections['integration']}")
     if options.capture:
         sections["stereo"] = {"capture": options.capture.name, "graphs": solve_capture(options.capture)}
     record("benchmark_onnx", sections)

@@ -64,6 +64,7 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "shading memory": shading.shading_memory,
     "onnx shading": shading.onnx_shading,
     "onnx renderer": shading.onnx_renderer,
+    "onnx integration": shading.onnx_integration,
     "onnx stereo": shading.onnx_stereo,
     "stability": shading.stability,
     "rounding": shading.rounding,

@@ -122,14 +122,22 @@ def onnx_shading() -> str:
 
 def onnx_renderer() -> str:
     """Milliseconds and errors of the renderer's graph by size and threads."""
-    section = load_section("benchmark_onnx", "renderer")
+    return _by_threads("renderer", "`renderer` graph, sphere of 20,480 triangles", "largest error of a normal")
+
+
+def onnx_integration() -> str:
+    """Milliseconds and errors of integration by size and threads."""
+    return _by_threads("integration", "`integration` graph, ball", "largest error of a height, pixels")
+
+
+def _by_threads(name: str, what: str, error_of: str) -> str:
+    section = load_section("benchmark_onnx", name)
     rows = [
         [f"{side}²", threads, short(milliseconds), f"{error:.0e}"]
         for side, found in section.results.items()
         for threads, (milliseconds, error) in found.items()
     ]
-    header = ["`renderer` graph, sphere of 20,480 triangles", "threads", "milliseconds", "largest error of a normal"]
-    return f"{section.source}\n\n{table(header, rows)}"
+    return f"{section.source}\n\n{table([what, 'threads', 'milliseconds', error_of], rows)}"
 
 
 def onnx_stereo() -> str:
