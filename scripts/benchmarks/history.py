@@ -59,7 +59,7 @@ FIGURES = (
     ),
     Figure("`auto` on cat, seconds", (*PHOTOGRAPHS["cat"], "auto", "seconds"), TIME),
     *(
-        Figure(f"shape from one picture of {name}, degrees (median)", (*ONE_PICTURE, name, "vcavity", "median"), ERROR)
+        Figure(f"one picture of {name}, degrees", (*ONE_PICTURE, name, "vcavity", "median"), ERROR)
         for name in ("DiLiGenT cat", "DiLiGenT reading", "UW grey ball")
     ),
     Figure("`vcavity` against theory, RMS", ("evaluate_reflectance", "errors", "vcavity", "RMS"), ERROR),
