@@ -461,15 +461,21 @@ def test_a_light_that_nobody_knows_is_found(name: str) -> None:
 
 
 def test_a_light_cannot_be_found_without_an_outline_or_for_several_pictures() -> None:
-    for image, contour in ((torch.rand(1, 8, 8) + 0.1, False), (torch.rand(1, 2, 1, 8, 8) + 0.1, True)):
+    one, two = torch.rand(1, 8, 8) + 0.1, torch.rand(1, 2, 1, 8, 8) + 0.1
+    for image, contour in ((one, False), (one, True), (two, True)):  # without a mask there is no outline either
         with pytest.raises(RangeError, match="outline is seen"):
             shape_from_shading(image, None, contour=contour)
 
 
 @pytest.mark.slow
 def test_a_light_that_the_picture_does_not_determine_is_refused() -> None:
-    """Noise has no light."""
+    """Noise has no light, and a few pixels do not show one."""
     field = height_fields.make("bumpy ellipsoid", 64)
     noise = torch.rand(1, 64, 64, generator=torch.Generator().manual_seed(0)) * field.mask
-    with pytest.raises(CaptureError, match="determines its light"):
-        shape_from_shading(noise, None, field.mask, albedo=None)
+    few = torch.zeros_like(field.mask)
+    few[:, 20:26, 20:26] = True
+    for mask in (field.mask, few):
+        with pytest.raises(CaptureError, match="determines its light"):
+            shape_from_shading(noise, None, mask, albedo=None)
+    with pytest.raises(RangeError, match="finite"):
+        shape_from_shading(noise / 0, None, field.mask, albedo=None)

@@ -27,6 +27,8 @@ BETWEEN = 6.0
 """Degrees; how far, in the root mean square, a direction is from the nearest of them."""
 DARKEST = 0.03
 """Share of the picture's peak from which a pixel is looked at; set by hand."""
+FEWEST = 100
+"""Bright pixels of the reduced picture below which it says nothing of its light; set by hand."""
 OUTLINE_WEIGHT, SOFTNESS = 1.0, 0.1
 """What one minus the cosine to the outline's light adds to the misfit as a share of the least one, and by how much that
 may be larger for a light to count a third. Set by hand: on 8 photographs and 26 renders the light found errs by 11
@@ -46,17 +48,20 @@ def with_found_light(picture: Picture, *, contour: bool) -> tuple[Picture, list[
     """One picture (C, H, W) with the direction to its light, and what is said of it.
 
     Raises:
-        RangeError: several pictures, or no occluding contour, without which nothing tells the light.
+        RangeError: several pictures, no occluding contour, without which nothing tells the light, or NaN in it.
         CaptureError: the picture does not determine its light within `UNKNOWN`.
     """
-    if picture.image.ndim != 3 or not contour:
+    inside = check_mask(picture.mask, picture.image[None]) if picture.image.ndim == 3 else None
+    if inside is None or bool(inside.all()) or not contour:
         raise RangeError(
             "light",
-            expected="given where the mask's edge is no occluding contour, and for several pictures",
+            expected="given where there is no mask or its edge is no occluding contour, and for several pictures",
             got="None",
             mend="give the direction to the light, or the mask of an object whose outline is seen",
         )
-    direction, spread = search_light(picture.image, check_mask(picture.mask, picture.image[None]))
+    if not bool(picture.image[:, inside[0]].isfinite().all()):
+        raise RangeError("image", expected="finite values inside the mask", got="NaN or infinity", mend="shrink mask")
+    direction, spread = search_light(picture.image, inside)
     if spread > UNKNOWN:
         raise CaptureError(
             "image",
@@ -84,6 +89,7 @@ def search_light(image: Tensor, inside: Tensor) -> tuple[Tensor, float]:
         image: (C, H, W) linear light.
         inside: (1, H, W) bool.
     """
+    image, inside = image.cpu(), inside.cpu()  # one picture, reduced: a GPU would not be quicker
     extent = max(int(inside[0].any(axis).sum()) for axis in (0, 1))
     step = max(1, round(extent / SIDE))
     grey = torch.where(inside, image.mean(0, keepdim=True), 0).double()
@@ -99,7 +105,7 @@ def search_light(image: Tensor, inside: Tensor) -> tuple[Tensor, float]:
         shaded = (normal * direction[:, None]).sum(0).clamp_min(0)
         unlike.append(misfit(brightness[lit], shaded[lit], scaled=True))
     score = torch.tensor(unlike, dtype=torch.float64)
-    if float(score.min()) > UNEXPLAINED:
+    if float(score.min()) > UNEXPLAINED or int(lit.sum()) < FEWEST:
         return outline, 90.0
     score = score / score.min().clamp_min(1e-9) - 1 + OUTLINE_WEIGHT * (1 - tried @ outline)
     weight = (-(score - score.min()) / SOFTNESS).exp()
