@@ -62,10 +62,8 @@ def describe_onnx(path: str | os.PathLike[str]) -> GraphDescription:
         raise ExportError(
             str(file), expected="an ONNX file", got=f"{type(error).__name__}: {error}", mend="export it again"
         ) from error
-    operators, values = (
-        [node.op_type for node in every_node(model.graph.node)],
-        [*model.graph.input, *model.graph.output],
-    )
+    operators = [node.op_type for node in every_node(model.graph.node)]
+    values = [*model.graph.input, *model.graph.output]
     metadata = {entry.key: entry.value for entry in model.metadata_props}
     return {
         "bytes": file.stat().st_size,

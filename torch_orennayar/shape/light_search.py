@@ -16,8 +16,8 @@ from ..core.progress import track
 from ..core.warn import warn
 from ..geometry.height_field import silhouette_normals
 from .picture_network import learned_normals, load_picture_network
-from .prior import misfit
-from .scene import Picture, peak_brightness
+from .prior import DARKEST, misfit
+from .scene import MEDIAN_OF_NORMAL, Picture, check_finite, peak_brightness
 
 SIDE = 96
 """Pixels, about, of the longer side of the reduced object that is looked at; set by hand, for seconds."""
@@ -25,8 +25,6 @@ CANDIDATES = ((8, 8), (22, 12), (36, 15), (50, 15), (62, 15))
 """Slants of the lights that are tried, degrees off the view, and how many around it; 8 to 22 degrees apart, by hand."""
 BETWEEN = 6.0
 """Degrees; how far, in the root mean square, a direction is from the nearest of them."""
-DARKEST = 0.03
-"""Share of the picture's peak from which a pixel is looked at; set by hand."""
 FEWEST = 100
 """Bright pixels of the reduced picture below which it says nothing of its light; set by hand."""
 OUTLINE_WEIGHT, SOFTNESS = 1.0, 0.1
@@ -59,8 +57,7 @@ def with_found_light(picture: Picture, *, contour: bool) -> tuple[Picture, list[
             got="None",
             mend="give the direction to the light, or the mask of an object whose outline is seen",
         )
-    if not bool(picture.image[:, inside[0]].isfinite().all()):
-        raise RangeError("image", expected="finite values inside the mask", got="NaN or infinity", mend="shrink mask")
+    check_finite("image", picture.image, inside)
     direction, spread = search_light(picture.image, inside)
     if spread > UNKNOWN:
         raise CaptureError(
@@ -138,7 +135,7 @@ def _light_of(normal: Tensor, brightness: Tensor, lit: Tensor) -> Tensor:
     for _ in range(ROUNDS):
         solved = torch.linalg.lstsq(rows * weight.sqrt()[:, None], seen * weight.sqrt()).solution
         off = (seen - rows @ solved).abs()
-        scale = (off.median() / 0.6745).clamp_min(1e-9)
+        scale = (off.median() / MEDIAN_OF_NORMAL).clamp_min(1e-9)
         weight = (1 + (off / (FAR_OFF * scale)).square()).square().reciprocal()
     direction = solved[:3] + solved.new_tensor((0.0, 0.0, 1e-9))
     return F.normalize(direction, dim=0)

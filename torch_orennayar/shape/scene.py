@@ -67,9 +67,8 @@ class Picture:
 
     def as_several(self) -> Picture:
         """One picture (C, H, W) under its light as the first of several, (1, C, H, W)."""
-        if self.image.ndim > 3 or self.light is None:
-            return self
-        return replace(self, image=self.image[None], light=self.light[None])
+        assert self.light is not None  # it is sought first
+        return replace(self, image=self.image[None], light=self.light[None]) if self.image.ndim == 3 else self
 
     def check(self) -> Tensor:
         """Check shapes and values of pictures (K, C, H, W) of one surface; returns their mask, (1, H, W) bool."""
@@ -90,10 +89,15 @@ class Picture:
                 got = str(tuple(depth.shape))
                 raise ShapeError(name, expected=str((1, *size)), got=got, mend="of the image's size")
         for name, value in (("image", image), ("depth", self.depth)):
-            if value is not None and not bool(value[..., inside[0]].isfinite().all()):
-                expected = "finite values inside the mask"
-                raise RangeError(name, expected=expected, got="NaN or infinity", mend="shrink mask")
+            if value is not None:
+                check_finite(name, value, inside)
         return inside
+
+
+def check_finite(name: str, value: Tensor, inside: Tensor) -> None:
+    """Check that maps (..., H, W) are finite inside the mask (1, H, W)."""
+    if not bool(value[..., inside[0]].isfinite().all()):
+        raise RangeError(name, expected="finite values inside the mask", got="NaN or infinity", mend="shrink mask")
 
 
 @dataclass(frozen=True)
