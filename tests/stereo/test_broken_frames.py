@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from torch import Tensor
 from tests.support import rendered_captures
 from tests.support.objects import findings
 from tests.support.rendered_captures import Rendered
-from torch_orennayar import angular_error, load_capture, photometric_stereo
+from torch_orennayar import OrenNayar, angular_error, load_capture, photometric_stereo
 
 LEFT_OUT = "were left out"
 
@@ -84,6 +85,22 @@ def test_good_photographs_are_kept(meshes: dict[str, tuple[Tensor, Tensor]], sur
     scene = rendered_captures.capture(meshes["ring"], rendered_captures.MATERIALS[surface], lights=count, size=64)
     found = photometric_stereo(scene.images, scene.lights, scene.mask, model="lambert")
     assert not findings(found, "frames-left-out")
+
+
+@pytest.mark.parametrize("count", [8, 12, 24])
+@pytest.mark.parametrize("roughness", [30, 45])
+def test_a_frontal_light_on_a_rough_surface_is_no_mistake(count: int, roughness: int) -> None:
+    """A flash beside the lens, and a ring of lamps at 55 degrees: as Lambert's model does not expect it."""
+    across = (torch.arange(48) - 23.5) / 22
+    x, y = across[None].expand(48, 48), -across[:, None].expand(48, 48)
+    mask = (x**2 + y**2 < 0.98)[None]
+    normal = torch.stack((x, y, (1 - x**2 - y**2).clamp_min(0).sqrt())) * mask
+    turn, tilt = torch.arange(count - 1) * 2 * math.pi / (count - 1), math.radians(55)
+    ring = torch.stack((turn.cos() * math.sin(tilt), turn.sin() * math.sin(tilt), turn * 0 + math.cos(tilt)), 1)
+    lights = torch.cat((torch.tensor([[0.0, 0, 1]]), ring))
+    layer = OrenNayar("vcavity")
+    images = layer(normal[None], lights[:, :, None, None], albedo=0.6, roughness=math.radians(roughness)) * mask
+    assert not findings(photometric_stereo(images, lights, mask, model="lambert"), "frames-left-out")
 
 
 def test_plain_least_squares_takes_what_it_is_given(good: Rendered) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 from torch import Tensor
 
@@ -26,25 +28,16 @@ ROUNDS = 3
 """Times that photographs are compared, each without those that were found before; set by hand."""
 CLEAR = 0.06
 """Median misfit of the others above which none is left out: the surface is too far from a matt one. Set by hand."""
+ROUGH = (Material("vcavity", math.radians(20)), Material("vcavity", math.radians(40)))
+"""Materials that must contradict a photograph too: a rough surface lit from the camera is up to .3 brighter toward its
+outline than a matt one, which is no mistake. Set by hand."""
 MOST = 1 / 4
 """Share of the photographs above which none is left out: then it is not photographs that are wrong. Set by hand."""
 
 
 def find_broken_frames(sample: PixelSample) -> tuple[Tensor, list[Finding]]:
     """Which photographs contradict the others, (K,) bool, and a finding on them, which is also a warning."""
-    count = len(sample.directions)
-    broken = torch.zeros(count, dtype=torch.bool, device=sample.grey.device)
-    if count < MIN_LIGHTS:
-        return broken, []
-    misfit = _misfit(sample, broken)
-    for _ in range(ROUNDS):
-        before = broken
-        broken = misfit > max(LEAST_MISFIT, MISFITS * misfit[~broken].median().item())
-        if torch.equal(broken, before):
-            break
-        if int(broken.sum()) > MOST * count or misfit[~broken].median() > CLEAR:
-            return torch.zeros_like(broken), []
-        misfit = _misfit(sample, broken)
+    broken, misfit = judge_frames(sample)
     if not bool(broken.any()):
         return broken, []
     numbers = ", ".join(str(int(k) + 1) for k in broken.nonzero())
@@ -57,11 +50,39 @@ def find_broken_frames(sample: PixelSample) -> tuple[Tensor, list[Finding]]:
     return broken, [Finding(text, "frames-left-out", int(broken.sum()))]
 
 
-def _misfit(sample: PixelSample, broken: Tensor) -> Tensor:
+def judge_frames(sample: PixelSample) -> tuple[Tensor, Tensor]:
+    """Which photographs contradict the others, (K,) bool, and the misfit of each, (K,), as a share of pixels' means."""
+    count = len(sample.directions)
+    none = torch.zeros(count, dtype=torch.bool, device=sample.grey.device)
+    misfit = torch.zeros(count, dtype=sample.grey.dtype, device=sample.grey.device)
+    if count < MIN_LIGHTS:
+        return none, misfit
+    broken, misfit = none, _misfit(sample, none, Material())
+    for _ in range(ROUNDS):
+        before = broken
+        broken = misfit > _limit(misfit, broken)
+        if torch.equal(broken, before):
+            break
+        if int(broken.sum()) > MOST * count or misfit[~broken].median() > CLEAR:
+            return none, misfit
+        misfit = _misfit(sample, broken, Material())
+    for material in ROUGH if bool(broken.any()) else ():
+        rough = _misfit(sample, broken, material)
+        broken = broken & (rough > _limit(rough, broken))
+        misfit = torch.minimum(misfit, rough)
+    return broken, misfit
+
+
+def _limit(misfit: Tensor, broken: Tensor) -> float:
+    """Misfit from which a photograph is broken, by those that are not."""
+    return max(LEAST_MISFIT, MISFITS * misfit[~broken].median().item())
+
+
+def _misfit(sample: PixelSample, broken: Tensor, material: Material) -> Tensor:
     """Median misfit of each photograph, (K,), over pixels that face its light, under a fit to those not broken."""
     shown = sample.under(~broken)
-    fitted = robust_fit.fit(shown, Material(), used="middle", steps=STEPS)
-    missed = (sample.grey - robust_fit.predict(fitted, sample.directions, Material())).abs()
+    fitted = robust_fit.fit(shown, material, used="middle", steps=STEPS)
+    missed = (sample.grey - robust_fit.predict(fitted, sample.directions, material)).abs()
     compared = (cosines(fitted.normal, sample.directions.light) > FACING) & (sample.grey != MISSING)
     share = torch.where(compared, missed / mean_brightness(shown.grey), torch.nan)
     return share.nanmedian(0).values.nan_to_num()
