@@ -48,6 +48,7 @@ if TYPE_CHECKING:  # what type checkers and editors read; at run time `__getattr
     from .shading.layer import OrenNayar
     from .shading.point_light import point_light
     from .shape.solver import shape_from_shading
+    from .stereo.light_positions import LightPositions, find_light_positions
     from .stereo.near_light import near_light_stereo
     from .stereo.set_network import SetNetwork, load_network, make_tokens, save_network
     from .stereo.solver import photometric_stereo
@@ -146,6 +147,10 @@ _HOMES = {
     "shading.layer": ("OrenNayar",),
     "shading.point_light": ("point_light",),
     "shape.solver": ("shape_from_shading",),
+    "stereo.light_positions": (
+        "LightPositions",
+        "find_light_positions",
+    ),
     "stereo.near_light": ("near_light_stereo",),
     "stereo.set_network": (
         "SetNetwork",
@@ -187,6 +192,7 @@ __all__ = [
     "Finding",
     "FoundLights",
     "Ingredients",
+    "LightPositions",
     "Mesh",
     "MissingPackageError",
     "Model",
@@ -218,6 +224,7 @@ __all__ = [
     "encode_normals",
     "export_onnx",
     "face_neighbours",
+    "find_light_positions",
     "find_lights",
     "integrate_normals",
     "linear_to_srgb",

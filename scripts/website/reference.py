@@ -31,8 +31,9 @@ GROUPS: dict[str, tuple[str, tuple[str, ...]]] = {
     "stereo": (
         "Photometric stereo",
         (
-            "photometric_stereo", "Reconstruction", "BatchReconstruction", "near_light_stereo", "find_lights",
-            "FoundLights", "SetNetwork", "make_tokens", "load_network", "save_network",
+            "photometric_stereo", "Reconstruction", "BatchReconstruction", "near_light_stereo",
+            "find_light_positions", "LightPositions", "find_lights", "FoundLights", "SetNetwork",
+            "make_tokens", "load_network", "save_network",
         ),
     ),
     "shape": (

@@ -47,10 +47,13 @@ def test_positions_from_a_file(orennayar: Run, meshes: dict[str, tuple[Tensor, T
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--camera-distance", "400"), "leave --camera-distance and --fov out"),
+        (("--camera-distance", "400"), "leave --camera-distance out"),
         (("--positions", "lamps.csv"), "got no --camera-distance and no --fov"),
         (("--positions", "lamps.csv", "--camera-distance", "400"), "got no --fov"),
         (("--unit", "cm"), "leave --unit out"),
+        (("--fov", "30"), "expected a mirror ball"),
+        (("--near", "--refine-lights"), "--near: expected neither --positions, --refine-lights nor --least-squares"),
+        (("--distant", "--least-squares"), "--distant: expected neither"),
         (("--positions", "lamps.csv", "--crop", "0,0,9,9"), "choose a part with --mask"),
         (("--pixel-size", "-1"), "millimetres divided by its pixels"),
         (("--positions", "lamps.csv", "--pixel-size", "0.2"), "follows from --camera-distance"),
@@ -63,3 +66,45 @@ def test_options_that_do_not_go_together(
     result = orennayar("stereo", capture_folder, "-o", tmp_path / "out", *options)
     assert result.status == 1
     assert message in result.err
+
+
+@pytest.fixture(scope="module")
+def ring(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Tensor]:
+    """A folder of photographs of a wavy table under a ring of lamps at twice its size, and the true normals."""
+    folder, size, count = tmp_path_factory.mktemp("ring"), 64, 12
+    place = (torch.arange(size) - (size - 1) / 2) / size
+    x, y = place[None].expand(size, size), -place[:, None].expand(size, size)
+    normal = F.normalize(torch.stack((0.4 * torch.cos(25 * x), 0.4 * torch.sin(20 * y), torch.ones_like(x))), dim=0)
+    turn = torch.arange(count) * 2 * torch.pi / count
+    light = F.normalize(torch.stack((turn.cos(), turn.sin(), torch.full_like(turn, 1.4)), 1), dim=1)
+    toward = 2 * light[:, :, None, None] - torch.stack((x, y, torch.zeros_like(x)))
+    length = toward.norm(dim=1, keepdim=True)
+    images = 0.5 * (normal * toward / length).sum(1, keepdim=True).clamp_min(0) * (2 / length) ** 2
+    save_capture(folder, images.expand(-1, 3, -1, -1), light, torch.ones(1, size, size, dtype=torch.bool))
+    return folder, normal
+
+
+@pytest.mark.parametrize("option", [(), ("--near",)], ids=["seen", "said"])
+def test_near_lamps_whose_directions_are_known(
+    orennayar: Run, ring: tuple[Path, Tensor], tmp_path: Path, option: tuple[str, ...]
+) -> None:
+    folder, normal = ring
+    result = orennayar("stereo", folder, "-o", tmp_path, "--model", "lambert", "--no-report", *option)
+    assert result.status == 0
+    assert "lights found near, at 2.0 +- 0.0 times the object's size" in result.out
+    found = torch.from_numpy(np.load(tmp_path / "normal.npy"))
+    assert angular_error(found, normal).summary()["mean"] < 0.5
+    albedo = torch.from_numpy(np.load(tmp_path / "albedo.npy"))
+    assert albedo.median().item() == pytest.approx(0.5, abs=0.02)
+    depth = torch.from_numpy(np.load(tmp_path / "depth.npy")).squeeze()
+    assert float(depth.max() - depth.min()) < 5  # pixels; 1.3 in truth
+
+
+@pytest.mark.filterwarnings("ignore:lights at about 2 times")
+def test_lamps_taken_as_distant_where_told(orennayar: Run, ring: tuple[Path, Tensor], tmp_path: Path) -> None:
+    folder, normal = ring
+    result = orennayar("stereo", folder, "-o", tmp_path, "--model", "lambert", "--no-report", "--distant")
+    assert result.status == 0
+    assert "the surface found is bent" in result.out
+    found = torch.from_numpy(np.load(tmp_path / "normal.npy"))
+    assert angular_error(found, normal).summary()["mean"] > 5

@@ -44,10 +44,7 @@ Scale = Annotated[float, typer.Option(help="Factor of the photographs' size, for
 EncodingOption = Annotated[Encoding, typer.Option(help="Encoding of the images; auto: 8-bit files are sRGB.")]
 Azimuth = Annotated[float, typer.Option(help="Degrees by which the camera moves to the right.", min=-360, max=360)]
 Elevation = Annotated[float, typer.Option(help="Degrees by which it rises.", min=-89, max=89)]
-FieldOfView = Annotated[
-    float | None,
-    typer.Option(help="Vertical view in degrees; default: orthographic; with --positions required.", min=1, max=170),
-]
+FieldOfView = Annotated[float | None, typer.Option(help="Vertical view in degrees; default: none.", min=1, max=170)]
 LIGHT_HELP = "Direction to the light, of any length: right, up, toward the viewer; its place from the object will do."
 Light = Annotated[str, typer.Option(metavar="X,Y,Z", help=LIGHT_HELP)]
 

@@ -41,7 +41,7 @@ def shape(
 
     The light is sought where none is given, in the outline of the mask.
     """
-    from ..io.capture import load_photograph
+    from ..io.photograph import load_photograph
     from ..io.results import RECONSTRUCTION_FILES, write_reconstruction
     from ..shape.solver import shape_from_shading
 

@@ -12,12 +12,12 @@ import typer
 
 from ..core.errors import RangeError
 from ..core.files import check_output
+from .near_lights import check_near_options, pixel_mm, seem_near, solve_at_positions, solve_at_some_distance
 from .options import (
     BallOutline,
     ChromeFolder,
     Crop,
     EncodingOption,
-    FieldOfView,
     LightFile,
     MaskChoice,
     Output,
@@ -42,6 +42,13 @@ PositionFile = Annotated[
 UnitOption = Annotated[
     Literal["mm", "cm", "m", "in"] | None,
     typer.Option(help="Unit of --positions where the file states none, and of --camera-distance."),
+]
+FOV_HELP = (
+    "Vertical view of the whole photographs in degrees, for --positions and balls; default: as Exif states, or 0."
+)
+NearOption = Annotated[
+    bool | None,
+    typer.Option("--near/--distant", help="Lamps near, their distance found, or far away; default: what is seen."),
 ]
 CameraDistance = Annotated[
     float | None,
@@ -75,8 +82,9 @@ def stereo(
     scale: Scale = 1.0,
     positions: PositionFile = None,
     unit: UnitOption = None,
+    near: NearOption = None,
     distance: CameraDistance = None,
-    fov: FieldOfView = None,
+    fov: Annotated[float | None, typer.Option(help=FOV_HELP, min=1, max=170)] = None,
     pixel_size: PixelSize = None,
     ambient: Annotated[Path | None, typer.Option(help="Photograph with all lights off; default: ambient.*.")] = None,
     encoding: EncodingOption = "auto",
@@ -90,34 +98,33 @@ def stereo(
     """Photographs under several lights in; normals, albedo, roughness, depth and a mesh out."""
     from ..io.capture import load_capture
     from ..io.contact_sheet import thumbnails
-    from ..io.light_positions import MILLIMETRES
     from ..io.results import RECONSTRUCTION_FILES, write_reconstruction
 
-    if least_squares and model not in ("auto", "lambert"):
-        raise RangeError("--least-squares", expected="no --model, or lambert", got=model, mend="leave one of them out")
-    _check_size(positions, unit, pixel_size)
-    _check_near(positions, distance, fov, crop, other=refine_lights or least_squares)
-    distance = None if distance is None else distance * MILLIMETRES[unit or ""]
+    _check_options(model, positions, unit, pixel_size, least_squares=least_squares)
+    other = refine_lights or least_squares
+    distance = check_near_options(positions, distance, fov, crop, unit=unit, near=near, other=other)
     check_output(output, RECONSTRUCTION_FILES)
     begun = time.perf_counter()
     loaded = load_capture(
         capture, lights=lights, mask="whole" if str(mask) == "whole" else mask, chrome=chrome, positions=positions,
         ambient=ambient, encoding=encoding, scale=scale, unit=unit, ball_mask=ball_mask,
         ball=None if ball is None else parse_vector("--ball", ball, "320,240,55"),
+        fov_y=math.radians(fov) if fov is not None and positions is None else None,
         crop=None if crop is None else [round(n) for n in parse_vector("--crop", crop, "100,50,800,600")],
     )  # fmt: skip
     loaded = loaded.with_own_intensities(seed=seed) if own_intensities else loaded
     ready = time.perf_counter()
     if distance is not None and fov is not None:
-        found = _solve_near(loaded, model, distance, fov, seed)
+        found = solve_at_positions(loaded, model, distance, fov, seed)
     else:
-        found = _solve(loaded, model, least_squares=least_squares, refine_lights=refine_lights, seed=seed)
+        found = _solve(loaded, model, near=near, least_squares=least_squares, refine_lights=refine_lights, seed=seed)
     seconds = time.perf_counter() - ready
     shown = thumbnails(loaded, found.lights) if report else ()
+    covers = pixel_mm(loaded, distance, fov) if distance and fov else pixel_size and pixel_size / scale
     loaded = replace(loaded, images=loaded.images[:0].clone())  # frees the memory of large captures for drawing
     written = write_reconstruction(
         output, found, loaded, title=capture.resolve().name, seconds=seconds, shown=shown, report=report,
-        animation=animation, pixel_mm=pixel_size / scale if pixel_size else fov and _pixel_mm(loaded, distance, fov),
+        animation=animation, pixel_mm=covers,
     )  # fmt: skip
     _write_lights(output, loaded, found.lights)
     _say(written.numbers)
@@ -150,8 +157,15 @@ def _say(numbers: ResultNumbers) -> None:
         typer.echo(f"normal error: mean {error['mean']:.2f}, median {error['median']:.2f} degrees over {of_all}")
 
 
-def _check_size(positions: Path | None, unit: str | None, pixel_size: float | None) -> None:
-    """Check what says how large things are: a unit belongs to positions, and these say themselves what a pixel is."""
+def _check_options(
+    model: StereoModel, positions: Path | None, unit: str | None, pixel_size: float | None, *, least_squares: bool
+) -> None:
+    """Check what can be checked before photographs are read, but for near lights.
+
+    Least squares have one model. A unit belongs to positions, and these say themselves what a pixel is.
+    """
+    if least_squares and model not in ("auto", "lambert"):
+        raise RangeError("--least-squares", expected="no --model, or lambert", got=model, mend="leave one of them out")
     if unit is not None and positions is None:
         raise RangeError("--unit", expected="--positions beside it", got="none", mend="leave --unit out")
     if pixel_size is not None and (positions is not None or not 0 < pixel_size < math.inf):
@@ -162,40 +176,14 @@ def _check_size(positions: Path | None, unit: str | None, pixel_size: float | No
         )  # fmt: skip
 
 
-def _check_near(
-    positions: Path | None, distance: float | None, fov: float | None, crop: str | None, *, other: bool
-) -> None:
-    """Check that the options of near lights come together, and without those of distant ones."""
-    if positions is not None and crop is not None:
-        raise RangeError(
-            "--crop", expected="whole photographs with --positions", got=crop,
-            mend="leave --crop out, since the camera's axis meets the middle; choose a part with --mask",
-        )  # fmt: skip
-    if positions is None and (distance, fov) != (None, None):
-        raise RangeError(
-            "--positions", expected="a file of positions", got="none", mend="leave --camera-distance and --fov out"
-        )
-    if positions is not None and (distance is None or fov is None or other):
-        raise RangeError(
-            "--positions",
-            expected="--camera-distance and --fov, and neither --refine-lights nor --least-squares",
-            got=_described(distance, fov, other=other),
-            mend="measure the distance from the camera to the object in mm, and give the vertical angle of view",
-        )
-
-
-def _described(distance: float | None, fov: float | None, *, other: bool) -> str:
-    """What is missing or too much beside ``--positions``."""
-    missing = [f"no {name}" for name, value in (("--camera-distance", distance), ("--fov", fov)) if value is None]
-    return " and ".join([*missing, *(["--refine-lights or --least-squares"] if other else [])])
-
-
 def _solve(
-    loaded: Capture, model: StereoModel, *, least_squares: bool, refine_lights: bool, seed: int
+    loaded: Capture, model: StereoModel, *, near: bool | None, least_squares: bool, refine_lights: bool, seed: int
 ) -> Reconstruction:
-    """Solve under distant lights."""
+    """Solve under lights whose directions are known, near ones if ``near`` says or the photographs show so."""
     from ..stereo.solver import photometric_stereo
 
+    if near or (near is None and not (least_squares or refine_lights) and seem_near(loaded, seed)):
+        return solve_at_some_distance(loaded, model, seed)
     return photometric_stereo(
         loaded.images,
         loaded.lights,
@@ -206,29 +194,3 @@ def _solve(
         valid=loaded.valid,
         seed=seed,
     )
-
-
-def _solve_near(loaded: Capture, model: StereoModel, distance: float, fov: float, seed: int) -> Reconstruction:
-    """Solve under near lights; the depth becomes a height in pixels, as results are written."""
-    from ..geometry.camera import Camera
-    from ..stereo.near_light import near_light_stereo
-
-    assert loaded.positions is not None
-    found = near_light_stereo(
-        loaded.images / loaded.positions.square().sum(1).mean(),  # of irradiance 1 where the object is, in the mean
-        loaded.positions - loaded.positions.new_tensor((0.0, 0.0, distance)),
-        loaded.mask,
-        camera=Camera.perspective(math.radians(fov)),
-        distance=distance,
-        model=model,
-        valid=loaded.valid,
-        seed=seed,
-    )
-    assert found.depth is not None
-    return replace(found, depth=(distance - found.depth) / _pixel_mm(loaded, distance, fov) * loaded.mask)
-
-
-def _pixel_mm(loaded: Capture, distance: float | None, fov: float) -> float:
-    """Millimetres of the object that a pixel covers at the distance of the camera."""
-    assert distance is not None  # comes with fov, see _check_near
-    return 2 * distance * math.tan(math.radians(fov) / 2) / loaded.mask.shape[1]

@@ -50,6 +50,7 @@ CODES: dict[str, str] = {
     "network-normals": "normals come from the network",
     "network-beside": "the network's normals stand beside fitted ones",
     "network-few-lights": "fewer lights than the network was trained on; value: their number",
+    "light-distance-found": "lights were found near; value: their distance in sizes of the object",
     "lights-near": "near lights explain the photographs much better; value: their distance in sizes of the object",
     "frames-left-out": "number of photographs that contradict the others and were left out",
     "lights-mirrored": "normals oppose the object's outline along one axis; value: their correlation along it",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,6 +20,7 @@ from ..geometry.primitives import Ball
 from ..stereo.calibrate import find_ball, light_directions
 from ..stereo.mirror_ball import find_mirror_ball
 from .masks import find_mask, read_mask
+from .optics import View
 from .photographs import list_photographs, read_photographs
 
 LARGEST_SHARE_OF_MASK = 0.5
@@ -64,6 +66,17 @@ def lights_of_ball(images: Tensor, ball: Ball | None, where: str = "") -> BallLi
     place = f"column {ball.x:.1f}, row {ball.y:.1f}, radius {ball.radius:.1f} pixels"
     text = f"lights from the highlights of a mirror ball {how}{where} at {place}."
     return BallLights(directions, ball, _draw(images, ball, directions), Finding(text, "lights-from-ball", ball.radius))
+
+
+def seen_off_axis(found: BallLights, view: View) -> BallLights:
+    """Lights of a ball that a camera sees from the side, beside an object that it looks at."""
+    angle, high = (math.degrees(radians) for radians in (view.off_axis(found.ball), view.fov_y))
+    text = (
+        f"{str(found.finding).rstrip('.')}, as a camera sees it from {angle:.1f} degrees off its axis "
+        f"(photographs {high:.1f} degrees high)."
+    )
+    finding = Finding(text, found.finding.code, found.finding.value)
+    return found._replace(directions=view.mirrored(found.directions, found.ball), finding=finding)
 
 
 def lights_of_ball_beside(images: Tensor, mask: Tensor | None) -> BallLights | None:

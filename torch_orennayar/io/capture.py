@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-import torch
 from torch import Tensor
 
 from ..core.defaults import independent_of_defaults
@@ -16,14 +15,16 @@ from ..core.errors import FileError, RangeError
 from ..core.findings import Finding
 from ..geometry.primitives import Ball
 from ..stereo.calibrate import own_intensities, unequal_intensities
-from .ball_photographs import BallLights, lights_of_ball, lights_of_ball_beside
+from .ball_photographs import BallLights, lights_of_ball, lights_of_ball_beside, seen_off_axis
 from .capture_lights import GivenLights, given_ball, lights_from_photographs, read_lights
+from .encoding import check_encoding
 from .encoding_choice import choose_encoding
 from .images import write_image
 from .light_files import DIRECTIONS_FILE, INTENSITIES_FILE, read_intensities
 from .light_order import doubt_order
 from .masks import find_mask, read_mask
 from .object_mask import disc, find_object
+from .optics import View, stated_field_of_view
 from .photographs import find_ambient, odd_pictures, read_photographs
 from .region import Region
 from .truth import read_truth
@@ -107,6 +108,7 @@ def load_capture(
     ball_mask: str | os.PathLike[str] | None = None,
     crop: Sequence[int] | None = None,
     scale: float = 1.0,
+    fov_y: float | None = None,
 ) -> Capture:
     """Load a capture: a DiLiGenT folder, a folder with a light file, an ``.lp`` file, or images with a mirror ball.
 
@@ -141,6 +143,8 @@ def load_capture(
         ball_mask: a mask of that ball instead, white on the ball.
         crop: left, top, width and height of the part that is kept, in pixels of the upright photographs.
         scale: factor in (0, 1] by which it is reduced, in linear light.
+        fov_y: vertical angle of view of the whole upright photographs, radians, for the lights of a ball that the
+            camera sees from the side; default: what Exif states, or else as seen along the axis.
 
     Returns:
         A `Capture`.
@@ -166,7 +170,7 @@ def load_capture(
         >>> ton.load_capture(folder).images.shape
         torch.Size([3, 3, 4, 5])
     """
-    _check_encoding(encoding)
+    check_encoding(encoding)
     source = Path(path)
     if not source.exists():
         raise FileError(
@@ -189,6 +193,7 @@ def load_capture(
         marked if chrome is None else None,
         whole=mask == "whole",
         notes=odd_pictures(folder, (*given.files, *others)),
+        fov_y=fov_y,
     )
     capture = _read(plan, encoding)
     if encoding != "auto" or given.positions is not None or "read-as-srgb" not in {n.code for n in capture.notes}:
@@ -226,6 +231,7 @@ class _Plan:
     ball: Ball | None
     whole: bool
     notes: tuple[Finding, ...]
+    fov_y: float | None
 
 
 def _read(plan: _Plan, encoding: str) -> Capture:
@@ -236,7 +242,10 @@ def _read(plan: _Plan, encoding: str) -> Capture:
         intensities, no_intensities = given.intensities.expand(-1, 3).contiguous(), ()
     images, size, valid, decisions = read_photographs(given.files, encoding, intensities, plan.ambient, region)
     inside, about_mask = _mask(plan, images, size)
-    beside = _ball_beside(plan, images, inside) if lights is None else None
+    beside = _ball_beside(plan, images, inside, size) if lights is None else None
+    if plan.fov_y is not None and beside is None:
+        mend = "leave it out; it corrects the lights of a ball that is seen from the side"
+        raise RangeError("fov_y", expected="a mirror ball in the photographs", got="none", mend=mend)
     ball = beside or given.ball
     about_lights: tuple[Finding, ...] = (ball.finding,) if ball is not None else ()
     if beside is not None:
@@ -261,11 +270,12 @@ def _read(plan: _Plan, encoding: str) -> Capture:
     )
 
 
-def _ball_beside(plan: _Plan, images: Tensor, inside: Tensor) -> BallLights | None:
-    """The ball that is marked, or else one that is seen in the photographs."""
-    if plan.ball is not None:
-        return lights_of_ball(images, plan.region.move(plan.ball))
-    return lights_of_ball_beside(images, inside)
+def _ball_beside(plan: _Plan, images: Tensor, inside: Tensor, size: tuple[int, int]) -> BallLights | None:
+    """The ball that is marked, or else one seen in the photographs, which are ``size`` high and wide when whole."""
+    marked = None if plan.ball is None else plan.region.move(plan.ball)
+    found = lights_of_ball_beside(images, inside) if marked is None else lights_of_ball(images, marked)
+    height = plan.fov_y or stated_field_of_view(plan.given.files[0])
+    return found if found is None or height is None else seen_off_axis(found, View(plan.region, size, height))
 
 
 def _mask(plan: _Plan, images: Tensor, size: tuple[int, int]) -> tuple[Tensor, tuple[Finding, ...]]:
@@ -275,43 +285,6 @@ def _mask(plan: _Plan, images: Tensor, size: tuple[int, int]) -> tuple[Tensor, t
         return found.inside, (found.finding,)
     inside, findings = read_mask(plan.mask, size)
     return plan.region.apply_mask(inside), findings
-
-
-def _check_encoding(encoding: str) -> None:
-    if encoding not in ("auto", "linear", "srgb"):
-        raise RangeError("encoding", expected="'auto', 'linear' or 'srgb'", got=repr(encoding), mend="choose one")
-
-
-@independent_of_defaults
-def load_photograph(
-    path: str | os.PathLike[str],
-    light: Tensor | None,
-    *,
-    mask: str | os.PathLike[str] | None = None,
-    encoding: str = "auto",
-) -> Capture:
-    """Read one photograph under one light, for `shape_from_shading`.
-
-    Args:
-        path: the picture.
-        light: (3,) unit direction to the light; where it is not known, None, the capture states the view's.
-        mask: its mask file; white is the object; default: all pixels.
-        encoding: as in `load_capture`.
-
-    Returns:
-        A `Capture` with K = 1.
-
-    Raises:
-        FileError: a file is missing, damaged or of another size.
-        RangeError: unknown encoding.
-    """
-    _check_encoding(encoding)
-    images, _, valid, notes = read_photographs([Path(path)], encoding, torch.ones(1, 3))
-    size = (images.shape[2], images.shape[3])
-    inside, about_mask = read_mask(None if mask is None else Path(mask), size)
-    notes = (*notes, *about_mask)
-    stated = torch.tensor((0.0, 0.0, 1.0)) if light is None else light
-    return Capture(images, stated[None], torch.ones(1, 3), inside, None, (Path(path).name,), notes, valid)
 
 
 @independent_of_defaults

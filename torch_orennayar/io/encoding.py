@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
+from ..core.errors import RangeError
 from ..core.optional import require
 from .icc import ProfileError, read_profile
 from .srgb import srgb_to_linear
@@ -171,3 +172,9 @@ def _png_transfer(file: BinaryIO) -> int | None:
             return None
         file.seek(length + 4, os.SEEK_CUR)
     return None
+
+
+def check_encoding(encoding: str) -> None:
+    """Check that ``encoding`` is a choice of `load_capture`."""
+    if encoding not in ("auto", "linear", "srgb"):
+        raise RangeError("encoding", expected="'auto', 'linear' or 'srgb'", got=repr(encoding), mend="choose one")

@@ -267,7 +267,7 @@ def own_intensities(images: Tensor, lights: Tensor, mask: Tensor | None = None, 
     _check_lights(images, lights)
     if len(images) < 5:
         raise CaptureError("images", expected="at least 5", got=str(len(images)), mend="calibrate with a grey ball")
-    return _alternate(_draw_sample(images, lights, mask, seed), ROUNDS)[0].to(images)
+    return find_brightness(_draw_sample(images, lights, mask, seed), ROUNDS)[0].to(images)
 
 
 def unequal_intensities(images: Tensor, lights: Tensor, mask: Tensor | None = None, *, seed: int = 0) -> Tensor | None:
@@ -282,11 +282,11 @@ def unequal_brightness(sample: PixelSample) -> Tensor | None:
     """
     if sample.grey.shape[1] < LIGHTS_TO_JUDGE or len(sample) < LEAST_TO_JUDGE:
         return None
-    first = _alternate(sample[:PIXELS_TO_JUDGE], 1)[0].log()
+    first = find_brightness(sample[:PIXELS_TO_JUDGE], 1)[0].log()
     spread = MAD_TO_SIGMA * float((first - first.median()).abs().median())
     if not spread > UNEQUAL:
         return None
-    found, misfits = _alternate(sample[:CALIBRATION_PIXELS], ROUNDS)
+    found, misfits = find_brightness(sample[:CALIBRATION_PIXELS], ROUNDS)
     return found if misfits[-1] < EXPLAINED * misfits[0] else None
 
 
@@ -302,7 +302,7 @@ def _draw_sample(images: Tensor, lights: Tensor, mask: Tensor | None, seed: int)
     return PixelSample(grey[some], LightDirections.of(lights.to(grey)), places[some], images.shape[3])
 
 
-def _alternate(sample: PixelSample, rounds: int) -> tuple[Tensor, list[float]]:
+def find_brightness(sample: PixelSample, rounds: int) -> tuple[Tensor, list[float]]:
     """Brightness (K, 1) of the lights after so many fits, each under the brightness before, and the fits' misfits."""
     intensity, misfits = torch.ones_like(sample.grey[:1]), list[float]()
     fitted: PixelFit | None = None

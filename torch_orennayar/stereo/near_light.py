@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -11,12 +11,15 @@ from torch import Tensor
 from ..core.checks import check_floating, check_mask
 from ..core.defaults import independent_of_defaults
 from ..core.errors import RangeError, ShapeError
+from ..core.findings import Finding
 from ..core.progress import track
 from ..geometry.camera import Camera
 from ..geometry.integrate import integrate_normals
 from ..reconstruction import Reconstruction
 from ..shading.point_light import point_light
-from .capture_checks import find_valid
+from .broken_frames import find_broken_frames
+from .capture_checks import find_dark_pixels, find_valid, leave_out
+from .pixel_sample import SAMPLE_PIXELS, PixelSample, draw_places
 from .solver import photometric_stereo
 
 DARK = 1e-3
@@ -31,8 +34,8 @@ def near_light_stereo(
     positions: Tensor,
     mask: Tensor | None = None,
     *,
-    camera: Camera,
-    distance: float,
+    camera: Camera | None = None,
+    distance: float | None = None,
     model: str = "auto",
     rounds: int = 2,
     valid: Tensor | None = None,
@@ -43,24 +46,26 @@ def near_light_stereo(
     Normals and depth are solved in alternation: the depth gives the direction and irradiance of each light at every
     pixel (`point_light`), `photometric_stereo` the normals, `integrate_normals` the depth. The first round starts from
     a plane that faces the camera. All rounds take Lambert's model but the last one, which takes ``model``. Perspective
-    views are solved in each pixel's own frame. Not differentiable.
+    views are solved in each pixel's own frame. Photographs that contradict the others are left out before the last
+    round. Not differentiable.
 
     Args:
         images: (K, C, H, W) linear light, divided by the lights' intensities: their irradiance at distance 1.
         positions: (K, 3) of the lights in the camera frame (x right, y up, z toward the viewer, the eye at 0, so that
-            what it sees has negative z), in the unit of ``distance``.
+            what it sees has negative z), in the unit of ``distance``. Without a camera: in pixels from the middle of
+            the picture, z from the object's mean height, as `find_light_positions` gives them.
         mask: (1, H, W) bool; default all pixels. Regions that do not touch get the same mean distance.
-        camera: one camera.
+        camera: one camera; None for an orthographic view in pixels.
         distance: of the object from the camera along its axis: the mean of an orthographic view's depth, the
-            geometric mean of a perspective view's. Not found from the images: measure it.
+            geometric mean of a perspective view's. Not found from the images: measure it. None without a camera.
         model: as for `photometric_stereo`.
         rounds: of the alternation before the last one.
         valid: as for `photometric_stereo`.
         seed: as for `photometric_stereo`.
 
     Returns:
-        A `Reconstruction` with depth, (1, H, W), along the camera's axis, 0 outside the mask. Albedo is that of
-        a source of irradiance 1.
+        A `Reconstruction` with depth, (1, H, W), along the camera's axis, 0 outside the mask; without a camera height
+        toward the viewer in pixels. Albedo is that of a source of irradiance 1.
 
     Raises:
         ShapeError: shapes do not fit together.
@@ -85,29 +90,88 @@ def near_light_stereo(
         [0.5, 0.5]
     """
     check_floating(images=images, positions=positions)
-    inside = _check(images, positions, mask, camera, distance, rounds)
-    counted = find_valid(images, inside[0], valid)
-    if counted is None:
-        counted = torch.ones_like(images[:, :1], dtype=torch.bool)
-    size = (images.shape[2], images.shape[3])
-    view = camera.view_directions(size)[0].to(images)
-
-    def update(depth: Tensor, model: str) -> tuple[Reconstruction, Tensor]:
-        """What `photometric_stereo` finds for lights seen from that depth, and the depth of its normals."""
-        light, irradiance = point_light(camera.points(depth[None]), positions[:, :, None, None].to(images), 1.0)
-        _check_lights(light, view, inside)
-        irradiance = torch.maximum(irradiance, DARK * irradiance[:, :, inside[0]].mean(2, keepdim=True)[..., None])
-        seen = torch.where(inside, images / irradiance, 0)
-        turned = _rotate(light, view)
-        found = photometric_stereo(seen, turned, inside, model=model, valid=counted, seed=seed)
-        normal = torch.where(inside, _rotate(found.normal, view, back=True), 0)
-        return replace(found, normal=normal), _integrate(normal, inside, camera, distance)
-
-    depth = torch.full((1, *size), float(distance), dtype=images.dtype, device=images.device)
+    if rounds < 1:
+        raise RangeError("rounds", expected="at least 1", got=str(rounds), mend="use the default, 2")
+    flat = camera is None
+    if camera is None:
+        if distance is not None:
+            raise RangeError("distance", expected="None without a camera", got=str(distance), mend="give both or none")
+        camera = Camera.orthographic(images.shape[-2] / 2)
+    elif distance is None:
+        raise RangeError("distance", expected="a number with a camera", got="None", mend="measure it")
+    scene = _Scene.of(images, positions, mask, valid, camera, 0.0 if distance is None else distance)
+    depth = torch.full_like(images[0, :1], scene.distance)
     for _ in track(range(rounds), "near lights", rounds):
-        _, depth = update(depth, "lambert")
-    found, depth = update(depth, model)
-    return replace(found, depth=torch.where(inside, depth, 0))
+        _, depth = scene.solve(depth, "lambert", seed)
+    scene, findings = scene.without_broken_frames(depth, seed)
+    if findings:
+        _, depth = scene.solve(depth, "lambert", seed)
+    found, depth = scene.solve(depth, model, seed)
+    depth = torch.where(scene.inside, -depth if flat else depth, 0)
+    return replace(found, depth=depth, report=(*findings, *found.report))
+
+
+@dataclass(frozen=True)
+class _Scene:
+    """Photographs under near lights.
+
+    Attributes:
+        images: (K, C, H, W).
+        positions: (K, 3) in the camera frame.
+        inside: (1, H, W) bool, the object.
+        valid: (K, 1, H, W) bool, the samples that count.
+        camera: one.
+        distance: of the object from the camera.
+    """
+
+    images: Tensor
+    positions: Tensor
+    inside: Tensor
+    valid: Tensor
+    camera: Camera
+    distance: float
+
+    @staticmethod
+    def of(
+        images: Tensor, positions: Tensor, mask: Tensor | None, valid: Tensor | None, camera: Camera, distance: float
+    ) -> _Scene:
+        """Check that all fits together."""
+        inside = _check(images, positions, mask, camera, distance)
+        counted = find_valid(images, inside[0], valid)
+        if counted is None:
+            counted = torch.ones_like(images[:, :1], dtype=torch.bool)
+        return _Scene(images, positions, inside, counted, camera, float(distance))
+
+    def as_distant(self, depth: Tensor) -> tuple[Tensor, Tensor]:
+        """Images (K, C, H, W) under lights of irradiance 1, and directions (K, 3, H, W) to these in pixels' own frames.
+
+        ``depth``: (1, H, W) of the surface.
+        """
+        points, view = self.camera.points(depth[None]), self._view()
+        light, irradiance = point_light(points, self.positions[:, :, None, None].to(self.images), 1.0)
+        _check_lights(light, view, self.inside)
+        irradiance = torch.maximum(irradiance, DARK * irradiance[:, :, self.inside[0]].mean(2, keepdim=True)[..., None])
+        return torch.where(self.inside, self.images / irradiance, 0), _rotate(light, view)
+
+    def solve(self, depth: Tensor, model: str, seed: int) -> tuple[Reconstruction, Tensor]:
+        """What `photometric_stereo` finds for lights seen from that depth, and the depth of its normals."""
+        seen, light = self.as_distant(depth)
+        found = photometric_stereo(seen, light, self.inside, model=model, valid=self.valid, seed=seed)
+        normal = torch.where(self.inside, _rotate(found.normal, self._view(), back=True), 0)
+        return replace(found, normal=normal), _integrate(normal, self.inside, self.camera, self.distance)
+
+    def without_broken_frames(self, depth: Tensor, seed: int) -> tuple[_Scene, list[Finding]]:
+        """The photographs that do not contradict the others on a surface of that depth, and a finding on those left."""
+        seen, light = self.as_distant(depth)
+        seen, _ = leave_out(seen, self.valid, self.inside[0])
+        lit = self.inside[0] & ~find_dark_pixels(seen, self.inside[0])
+        sample = PixelSample.gather(seen, light, draw_places(lit, SAMPLE_PIXELS, seed))
+        broken, findings = find_broken_frames(sample)
+        kept = replace(self, images=self.images[~broken], positions=self.positions[~broken], valid=self.valid[~broken])
+        return (kept, findings) if findings else (self, [])
+
+    def _view(self) -> Tensor:
+        return self.camera.view_directions((self.images.shape[2], self.images.shape[3]))[0].to(self.images)
 
 
 def _integrate(normal: Tensor, inside: Tensor, camera: Camera, distance: float) -> Tensor:
@@ -142,9 +206,7 @@ def _check_lights(light: Tensor, view: Tensor, inside: Tensor) -> None:
         )
 
 
-def _check(
-    images: Tensor, positions: Tensor, mask: Tensor | None, camera: Camera, distance: float, rounds: int
-) -> Tensor:
+def _check(images: Tensor, positions: Tensor, mask: Tensor | None, camera: Camera, distance: float) -> Tensor:
     """Check shapes and ranges that `photometric_stereo` does not check; return the mask, (1, H, W) bool."""
     if images.ndim != 4:
         raise ShapeError("images", expected="(K, C, H, W)", got=str(tuple(images.shape)), mend="one capture at a time")
@@ -156,6 +218,4 @@ def _check(
         raise ShapeError("camera", expected="one camera", got=f"a batch of {len(camera.focal)}", mend="pass one")
     if not math.isfinite(distance) or (camera.is_perspective and distance <= 0):
         raise RangeError("distance", expected="a positive number", got=str(distance), mend="measure it")
-    if rounds < 1:
-        raise RangeError("rounds", expected="at least 1", got=str(rounds), mend="use the default, 2")
     return check_mask(mask, images)

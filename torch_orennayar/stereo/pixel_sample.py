@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import torch
@@ -93,7 +94,7 @@ def gather_reduced(images: Tensor, inside: Tensor, pixels: int) -> tuple[Tensor,
     Returns:
         Observations (P, K) float64, and where they lie, (h, w) bool.
     """
-    factor = max(1, round((int(inside.sum()) / pixels) ** 0.5))
+    factor = reduction(inside, pixels)
     share = F.avg_pool2d(inside.double()[None], factor)[0]
     small = share > 0.5
     seen = []
@@ -103,6 +104,11 @@ def gather_reduced(images: Tensor, inside: Tensor, pixels: int) -> tuple[Tensor,
         reduced = F.avg_pool2d(grey, factor)[0] / share.clamp_min(1e-9)
         seen.append(torch.where(missing, MISSING, reduced)[small])
     return torch.stack(seen, 1).cpu(), small.cpu()
+
+
+def reduction(inside: Tensor, pixels: int) -> int:
+    """By how many rows and columns are averaged so that about so many ``pixels`` of the object (H, W) are left."""
+    return max(1, round(math.sqrt(int(inside.sum()) / pixels)))
 
 
 def draw_places(inside: Tensor, count: int, seed: int) -> Tensor:
