@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,7 +11,8 @@ import torch
 from torch import Tensor
 
 from tests.support.command_line import Run
-from tests.support.guides import follow, normal_error
+from tests.support.guides import blocks, follow, normal_error
+from torch_orennayar import angular_error
 
 
 @pytest.fixture
@@ -53,4 +55,11 @@ def test_unknown_lights(must: Run) -> None:
 def test_near_lamps(must: Run) -> None:
     with pytest.warns(UserWarning, match="explain the photographs better than distant ones"):
         follow("near-lamps.md", must)
-    assert normal_error("out") < 0.6 * normal_error("distant")
+    error = {name: normal_error(name) for name in ("found", "out", "distant")}
+    assert max(error["found"], error["out"]) < 0.6 * error["distant"]
+    names: dict[str, Any] = {}
+    for block in blocks("near-lamps.md", "python"):
+        exec(block, names)
+    inside = torch.from_numpy(np.load("truth/part.npy") == 0)
+    truth = torch.from_numpy(np.load("truth/normal.npy"))
+    assert angular_error(names["near"].normal, truth, inside[None]).summary()["mean"] < 0.6 * error["distant"]

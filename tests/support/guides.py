@@ -17,10 +17,14 @@ from .example_code import EXAMPLES, load
 GUIDES = EXAMPLES / "guides"
 
 
+def blocks(guide: str, language: str) -> list[str]:
+    """The guide's blocks of code in a language, in order."""
+    return re.findall(rf"```{language}\n(.*?)```", (GUIDES / guide).read_text(encoding="utf-8"), re.DOTALL)
+
+
 def commands(guide: str) -> list[list[str]]:
     """The words of every command in the guide's shell blocks, in order."""
-    blocks = re.findall(r"```sh\n(.*?)```", (GUIDES / guide).read_text(encoding="utf-8"), re.DOTALL)
-    lines = [line for block in blocks for line in block.splitlines()]
+    lines = [line for block in blocks(guide, "sh") for line in block.splitlines()]
     return [words for line in lines if (words := shlex.split(line, comments=True))]
 
 

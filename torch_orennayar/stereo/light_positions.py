@@ -52,6 +52,13 @@ class LightPositions(NamedTuple):
         uncertainty: standard error of the distance, in sizes of the object.
         intensities: (K, 1) brightness of the lights; 1 where the photographs do not say that it differs.
         findings: what was found.
+
+    Example:
+        >>> import torch, torch_orennayar as ton
+        >>> lights = torch.nn.functional.normalize(torch.tensor([[0.0, 0, 1], [3, 0, 4], [0, 3, 4]]), dim=1)
+        >>> found = ton.LightPositions(500 * lights, 2.5, 0.1, torch.ones(3, 1), ())
+        >>> found.positions[1].tolist()  # as near_light_stereo takes them
+        [300.0, 0.0, 400.0]
     """
 
     positions: Tensor
