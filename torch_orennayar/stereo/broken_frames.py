@@ -28,9 +28,9 @@ ROUNDS = 3
 """Times that photographs are compared, each without those that were found before; set by hand."""
 CLEAR = 0.06
 """Median misfit of the others above which none is left out: the surface is too far from a matt one. Set by hand."""
-ROUGH = (Material("vcavity", math.radians(20)), Material("vcavity", math.radians(40)))
-"""Materials that must contradict a photograph too: a rough surface lit from the camera is up to .3 brighter toward its
-outline than a matt one, which is no mistake. Set by hand."""
+ROUGH = tuple(Material("vcavity", math.radians(degrees)) for degrees in (15, 30, 45))
+"""Materials that must contradict a photograph too, where they explain the others better than a matt one: lit from the
+camera, a rough surface is up to .3 brighter toward its outline, which is no mistake. Set by hand."""
 MOST = 1 / 4
 """Share of the photographs above which none is left out: then it is not photographs that are wrong. Set by hand."""
 
@@ -68,8 +68,8 @@ def judge_frames(sample: PixelSample) -> tuple[Tensor, Tensor]:
         misfit = _misfit(sample, broken, Material())
     for material in ROUGH if bool(broken.any()) else ():
         rough = _misfit(sample, broken, material)
-        broken = broken & (rough > _limit(rough, broken))
-        misfit = torch.minimum(misfit, rough)
+        if rough[~broken].median() < misfit[~broken].median():
+            misfit, broken = rough, broken & (rough > _limit(rough, broken))
     return broken, misfit
 
 
