@@ -114,8 +114,10 @@ def spheres(size: int, camera: Camera | None) -> tuple[Tensor, Tensor, Tensor]:
 @pytest.mark.parametrize(
     "camera", [None, Camera.perspective(2 * math.atan(1 / 12))], ids=["orthographic", "perspective"]
 )
-def test_a_depth_edge_is_left_open(camera: Camera | None) -> None:
+@pytest.mark.parametrize("large", [integrate.LARGE, 2000], ids=["at once", "from half the size"])
+def test_a_depth_edge_is_left_open(camera: Camera | None, large: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Least squares bridges the gap and bends both spheres; here each keeps its shape."""
+    monkeypatch.setattr(integrate, "LARGE", large)
     normal, mask, truth = spheres(96, camera)
     found = integrate_normals(normal, mask, camera=camera)
     if camera is not None:

@@ -20,7 +20,7 @@ from .camera import Camera
 
 Floats: TypeAlias = npt.NDArray[np.float64]
 Bools: TypeAlias = npt.NDArray[np.bool_]
-Indices: TypeAlias = npt.NDArray[np.int64]
+Indices: TypeAlias = npt.NDArray[np.int32]
 
 MIN_FACING = 0.02
 """Smallest cosine between normal and view, below which the slope is clamped: 88.9 degrees, set by hand."""
@@ -157,8 +157,8 @@ class _Pairs:
         here, there = (np.s_[:, :-1], np.s_[:, 1:]) if axis == 0 else (np.s_[:-1, :], np.s_[1:, :])
         inside, step = field.inside, field.step[axis]
         both = inside[here] & inside[there]
-        index = np.full(inside.shape, -1)
-        index[inside] = np.arange(int(inside.sum()))
+        index = np.full(inside.shape, -1, np.int32)
+        index[inside] = np.arange(int(inside.sum()), dtype=np.int32)
         first, second = index[here][both], index[there][both]
         normal = field.normal[:, inside]
         one, other = normal[:, first], normal[:, second]
@@ -197,14 +197,23 @@ def _integrate(field: _Field) -> Floats:
     height = np.zeros(count)
     if count > LARGE:
         coarse = field.halved()
-        canvas = np.zeros(coarse.inside.shape)
-        canvas[coarse.inside] = _integrate(coarse)
-        height = canvas.repeat(2, 0).repeat(2, 1)[: field.inside.shape[0], : field.inside.shape[1]][field.inside]
+        height = _doubled(_integrate(coarse), coarse.inside, field.inside.shape)[field.inside]
         sharpness = [SHARPNESS[1]] * LAST_STEPS
     solver = _Solver(pairs, count)
     for value in track(sharpness, "integrating", len(sharpness)):
-        height = solver.solve(np.concatenate([p.trust(height, value) for p in pairs]), height)
+        before, height = height, solver.solve(np.concatenate([p.trust(height, value) for p in pairs]), height)
+        if value == SHARPNESS[1] and np.array_equal(before, height):
+            break  # the next weights are the same again
     return height
+
+
+def _doubled(height: Floats, inside: Bools, size: tuple[int, ...]) -> Floats:
+    """Heights (P,) of the pixels ``inside``, linearly interpolated to twice their rows and columns, cut to ``size``."""
+    canvas = torch.zeros(2, *inside.shape, dtype=torch.float64)
+    canvas[0][torch.from_numpy(inside)] = torch.from_numpy(height)
+    canvas[1] = torch.from_numpy(inside)
+    known, share = F.interpolate(canvas[None], scale_factor=2, mode="bilinear")[0, :, : size[0], : size[1]]
+    return np.asarray((known / share.clamp_min(1e-12)).numpy())
 
 
 class _Solver:
@@ -214,38 +223,40 @@ class _Solver:
     """
 
     def __init__(self, pairs: Sequence[_Pairs], count: int) -> None:
+        require("pyamg", "scipy")
+        import scipy.sparse
+
         self.count = count
         self.first, self.second = (np.concatenate([getattr(p, name) for p in pairs]) for name in ("first", "second"))
         self.squares = np.concatenate([(p.scale**2).sum(0) for p in pairs])
         self.rise = np.concatenate([p.rise for p in pairs])
+        own = np.arange(count, dtype=np.int32)
+        rows, columns = (
+            np.concatenate((*ends, own)) for ends in ((self.first, self.second), (self.second, self.first))
+        )
+        entries = np.arange(len(rows), dtype=np.int32)
+        self.pattern = scipy.sparse.csr_matrix((entries, (rows, columns)), shape=(count, count))
         self.preconditioner: Any = None
         self.steps = 0
 
     def solve(self, trust: Floats, start: Floats) -> Floats:
         """Heights (P,) for the trust (E,) in the pairs."""
-        require("pyamg", "scipy")
         import pyamg
-        import scipy.sparse
         import scipy.sparse.linalg
 
         first, second, count = self.first, self.second, self.count
         weight = trust * self.squares
-        flow = weight * self.rise
         diagonal = np.bincount(first, weight, count) + np.bincount(second, weight, count)
         # The ridge makes the system regular although every region has a free constant; the means are set later.
         ridge = 1e-9 * max(float(diagonal.mean()), 1e-12)
-        own = np.arange(count)
-        system = scipy.sparse.csr_matrix(
-            (
-                np.concatenate((-weight, -weight, diagonal + ridge)),
-                (np.concatenate((first, second, own)), np.concatenate((second, first, own))),
-            ),
-            shape=(count, count),
-        )
-        target = np.asarray(np.bincount(second, flow, count) - np.bincount(first, flow, count), np.float64)
+        values = np.concatenate((-weight, -weight, diagonal + ridge))[self.pattern.data]
+        system = scipy.sparse.csr_matrix((values, self.pattern.indices, self.pattern.indptr), (count, count))
+        weight *= self.rise
+        target = np.asarray(np.bincount(second, weight, count) - np.bincount(first, weight, count), np.float64)
         if count <= SMALL:
             return np.asarray(scipy.sparse.linalg.spsolve(system.tocsc(), target)).reshape(count)
         if self.preconditioner is None or self.steps > MOST_STEPS:
+            self.preconditioner = None  # frees the memory of the one before
             self.preconditioner = pyamg.ruge_stuben_solver(
                 system, max_coarse=50, coarse_solver="splu"
             ).aspreconditioner()
