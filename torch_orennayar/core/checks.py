@@ -211,6 +211,14 @@ def check_floating(**values: object) -> None:
             )
 
 
+def check_tensors(**values: object) -> None:
+    """Check that all values are tensors, of any type; None is left alone."""
+    for argument, value in values.items():
+        if value is not None and not isinstance(value, Tensor):
+            got = type(value).__name__
+            raise ShapeError(argument, expected="a tensor", got=got, mend=f"use torch.as_tensor({argument})")
+
+
 def check_encoded(argument: str, image: object, channels: tuple[int, ...]) -> None:
     """Check that a picture (..., C, H, W) holds floating-point values in [0, 1], as files do divided by their white.
 

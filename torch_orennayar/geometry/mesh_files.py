@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from ..core.checks import check_tensors
 from ..core.errors import FileError, RangeError, ShapeError
 from ..core.files import atomic_path
 from ..core.findings import Finding
@@ -236,6 +237,7 @@ def save_mesh(path: str | os.PathLike[str], vertices: Tensor, faces: Tensor, col
     require("trimesh")
     import trimesh
 
+    check_tensors(vertices=vertices, faces=faces, colors=colors)
     if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:
         raise ShapeError(
             "vertices, faces",

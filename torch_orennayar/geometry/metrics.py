@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from ..core.checks import check_tensors
 from ..core.errors import ShapeError
 
 
@@ -69,6 +70,7 @@ def angular_error(a: Tensor, b: Tensor, mask: Tensor | None = None, *, dim: int 
         >>> ton.angular_error(up, right, dim=-1).item()
         90.0
     """
+    check_tensors(a=a, b=b, mask=mask)
     for name, value in (("a", a), ("b", b)):
         if not -value.ndim <= dim < value.ndim or value.shape[dim] != 3:
             raise ShapeError(name, expected=f"3 along axis {dim}", got=str(tuple(value.shape)), mend="pass dim=")

@@ -11,7 +11,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from ..core.checks import check_encoded
+from ..core.checks import check_encoded, check_floating, check_tensors
 from ..core.errors import FileError, RangeError, ShapeError
 from ..core.files import atomic_path
 from ..core.optional import require
@@ -170,6 +170,7 @@ def encode_normals(normal: Tensor, mask: Tensor | None = None, *, green: str = "
         (..., 3, H, W) in [0, 1].
 
     Raises:
+        ShapeError: no floating-point tensor.
         RangeError: another ``green``.
 
     Example:
@@ -177,6 +178,8 @@ def encode_normals(normal: Tensor, mask: Tensor | None = None, *, green: str = "
         >>> ton.encode_normals(torch.tensor([0.0, 1.0, 0.0]).reshape(3, 1, 1)).flatten().tolist()
         [0.5, 1.0, 0.5]
     """
+    check_floating(normal=normal)
+    check_tensors(mask=mask)
     if mask is None:
         mask = (normal != 0).any(-3, keepdim=True)
     return ((normal * _green_sign(normal, green) + 1) / 2) * mask

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from torch import Tensor
 
-from ..core.checks import check_encoded
+from ..core.checks import check_encoded, check_floating
 from ..core.errors import RangeError
 from ..core.optional import require
 
@@ -47,6 +47,7 @@ def linear_to_srgb(image: Tensor, *, tone_map: str = "clamp") -> Tensor:
         Encoded values in [0, 1], of the same shape.
 
     Raises:
+        ShapeError: no floating-point tensor.
         RangeError: an unknown tone map.
         MissingPackageError: kornia is not installed.
 
@@ -60,6 +61,7 @@ def linear_to_srgb(image: Tensor, *, tone_map: str = "clamp") -> Tensor:
 
     if tone_map not in ("clamp", "reinhard"):
         raise RangeError("tone_map", expected="'clamp' or 'reinhard'", got=repr(tone_map), mend="choose one")
+    check_floating(image=image)
     light = image.clamp_min(0)
     light = (light / (1 + light)) if tone_map == "reinhard" else light.clamp(max=1)
     encoded: Tensor = linear_rgb_to_rgb(light.expand(*light.shape[:-3], 3, -1, -1))

@@ -14,6 +14,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from ..core.checks import check_floating
 from ..core.network_files import load_weights, save_weights
 from .linear_systems import camera_facing, solve_symmetric
 from .robust_stats import MAD_TO_SIGMA, MIDDLE_RANKS, SHADOW, geman_mcclure
@@ -143,6 +144,7 @@ def make_tokens(observed: Tensor, lights: Tensor) -> Tokens:
         >>> ton.make_tokens(torch.rand(5, 12), lights).values.shape
         torch.Size([5, 12, 12])
     """
+    check_floating(observed=observed, lights=lights)
     lights = lights.expand(observed.shape[0], -1, -1) if lights.ndim == 2 else lights
     mean = observed.mean(1, keepdim=True).clamp_min(1e-9)
     ratio = (observed / mean).clamp(0, 6)
