@@ -202,11 +202,14 @@ def test_shape_from_one_photograph(orennayar: Run, tmp_path: Path) -> None:
     guessed = orennayar(*command)
     assert "take it as a guess" in guessed.out
     assert "ambient light 0." in guessed.out
-    for given in ((*command, "--ambient", 0.05), command[:2] + command[4:]):  # or without a mask
+    for given in ((*command, "--ambient", 0.05), (*command, "--mask", "whole")):
         assert "ambient light" not in orennayar(*given).out
+    assert "found before its dark background" in orennayar(*command[:2], *command[4:]).out
+    found = torch.from_numpy(np.load(out / "normal.npy"))
+    assert angular_error(found, field.normal.float(), field.mask & (found != 0).any(0)).summary()["median"] < 8
     with pytest.warns(UserWarning, match="no light was given"):
         assert "no light was given" in orennayar(*command[:6]).out
-    assert "outline is seen" in orennayar(*command[:2], "-o", out).err
+    assert "outline is seen" in orennayar(*command[:2], "--mask", "whole", "-o", out).err
     dark = orennayar(*command[:6], "--light", 0, 0, -1)
     assert dark.status == 1
     assert "swap_opencv_frame" in dark.err

@@ -11,13 +11,13 @@ from typing import Annotated
 import typer
 
 from ..core.files import check_output
-from .options import LIGHT_HELP, EncodingOption, MaskFile, Output, ShapeModel, parse_direction
+from .options import LIGHT_HELP, EncodingOption, MaskChoice, Output, ShapeModel, parse_direction
 
 
 def shape(
     image: Annotated[Path, typer.Argument(help="One photograph of an object under one light.")],
     light: Annotated[
-        str | None, typer.Option(metavar="X,Y,Z", help=f"{LIGHT_HELP} Default: sought, with --mask.")
+        str | None, typer.Option(metavar="X,Y,Z", help=f"{LIGHT_HELP} Default: sought, in the outline.")
     ] = None,
     output: Output = Path("out"),
     roughness: Annotated[
@@ -27,10 +27,10 @@ def shape(
     ambient: Annotated[
         float | None,
         typer.Option(
-            help="Ambient light as a share of the light; default: estimated with a mask, else 0.", min=0, max=1
+            help="Ambient light as a share of the light; default: estimated with an outline, else 0.", min=0, max=1
         ),
     ] = None,
-    mask: MaskFile = None,
+    mask: MaskChoice = None,
     model: Annotated[ShapeModel, typer.Option(help="Reflectance model; auto chooses.")] = "auto",
     contour: Annotated[
         bool, typer.Option(help="Whether the mask's edge is an occluding contour, where the surface turns away.")
@@ -39,7 +39,7 @@ def shape(
 ) -> None:
     """One photograph under one light in; depth, normals and a mesh out.
 
-    The light is sought where none is given, in the outline of the mask.
+    The object is found before a dark background where no mask is given, and the light in its outline.
     """
     from ..io.photograph import load_photograph
     from ..io.results import RECONSTRUCTION_FILES, write_reconstruction
@@ -47,7 +47,8 @@ def shape(
 
     check_output(output, RECONSTRUCTION_FILES)
     direction = None if light is None else parse_direction("--light", light)
-    loaded = load_photograph(image, direction, mask=mask, encoding=encoding)
+    loaded = load_photograph(image, direction, mask="whole" if str(mask) == "whole" else mask, encoding=encoding)
+    outlined = "no-mask" not in {note.code for note in loaded.notes}
     begun = time.perf_counter()
     found = shape_from_shading(
         loaded.images[0],
@@ -55,9 +56,9 @@ def shape(
         loaded.mask,
         albedo=albedo,
         roughness=None if roughness is None else math.radians(roughness),
-        ambient=0.0 if ambient is None and mask is None else ambient,
+        ambient=ambient if outlined else ambient or 0.0,
         model=model,
-        contour=contour and mask is not None,
+        contour=contour and outlined,
     )
     seconds = time.perf_counter() - begun
     loaded = loaded if found.lights is None else replace(loaded, lights=found.lights)

@@ -57,6 +57,8 @@ def find_object(images: Tensor) -> FoundMask:
         return FoundMask(torch.ones_like(inside), Finding(text, "no-mask"))
     share = inside.float().mean().item()
     text = f"no mask: the object was found before its dark background, {share:.0%} of the picture"
+    if len(images) == 1:
+        text += ", without a side that the light does not reach"
     return FoundMask(inside, Finding(f"{text}; --mask whole (mask='whole') takes every pixel.", "mask-found", share))
 
 

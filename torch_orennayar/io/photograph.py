@@ -12,6 +12,7 @@ from ..core.defaults import independent_of_defaults
 from .capture import Capture
 from .encoding import check_encoding
 from .masks import read_mask
+from .object_mask import find_object
 from .photographs import read_photographs
 
 
@@ -28,7 +29,8 @@ def load_photograph(
     Args:
         path: the picture.
         light: (3,) unit direction to the light; where it is not known, None, the capture states the view's.
-        mask: its mask file; white is the object; default: all pixels.
+        mask: its mask file; white is the object. ``"whole"``: every pixel. Default: what the light reaches before a dark
+            background, and every pixel where there is no such background.
         encoding: as in `load_capture`.
 
     Returns:
@@ -41,7 +43,11 @@ def load_photograph(
     check_encoding(encoding)
     images, _, valid, notes = read_photographs([Path(path)], encoding, torch.ones(1, 3))
     size = (images.shape[2], images.shape[3])
-    inside, about_mask = read_mask(None if mask is None else Path(mask), size)
-    notes = (*notes, *about_mask)
+    if mask is None:
+        inside, about = find_object(images)
+        notes = (*notes, about)
+    else:
+        inside, about_mask = read_mask(None if mask == "whole" else Path(mask), size)
+        notes = (*notes, *about_mask)
     stated = torch.tensor((0.0, 0.0, 1.0)) if light is None else light
     return Capture(images, stated[None], torch.ones(1, 3), inside, None, (Path(path).name,), notes, valid)
