@@ -6,10 +6,10 @@ Sections: `photographs` solves every FOLDER by every method, `rendered` a set of
 materials x cast shadows, `tests/support/rendered_captures.py`). Beside this package's solvers stand other people's,
 written from their papers (`robust_baselines.py`). `few lights` and `wrong calibration` take the second folder, or the
 first rendered capture: error with fewer lights, with wrong light directions and with wrong intensities. `confidence`
-compares error with predicted error. `near lights`, `two roughnesses` and `light between parts` render captures of their
-own; `memory` is the peak of a process that solves a folder. Default: all of them; what is measured is recorded in
-results/evaluate_stereo.json section by section. ``--quick`` renders fewer and smaller captures and draws each set of
-few lights once.
+compares error with predicted error. `near lights`, `light positions`, `two roughnesses` and `light between parts`
+render captures of their own; `memory` is the peak of a process that solves a folder. Default: all of them; what is
+measured is recorded in results/evaluate_stereo.json section by section. ``--quick`` renders fewer and smaller captures
+and draws each set of few lights once.
 """
 
 from __future__ import annotations
@@ -37,6 +37,7 @@ from torch_orennayar import (
     CaptureError,
     Reconstruction,
     angular_error,
+    find_light_positions,
     load_capture,
     near_light_stereo,
     photometric_stereo,
@@ -200,6 +201,29 @@ def wrong_distance() -> dict[float, float]:
     return curve
 
 
+def light_positions() -> dict[str, dict[str, float]]:
+    """Mean error of rough objects under near lights by what is known of these, and how far off their distance is."""
+    rows = {}
+    for name, mesh in rendered_captures.objects().items():
+        case = rendered_captures.near_capture(mesh)
+        apart = case.positions + torch.tensor([0.0, 0.0, case.distance])
+        lights = F.normalize(apart, dim=1)
+        lamps = find_light_positions(case.images, lights, case.mask)
+        pixel = 2 * case.distance / (case.camera.focal[0, 1].item() * case.mask.shape[1])
+        seen = case.images / lamps.positions.square().sum(1).mean()
+        solved = {
+            "as distant": photometric_stereo(case.images, lights, case.mask, model="vcavity"),
+            "distance found": near_light_stereo(seen, lamps.positions, case.mask, model="vcavity"),
+            "positions known": near_light_stereo(
+                case.images, case.positions, case.mask, camera=case.camera, distance=case.distance, model="vcavity"
+            ),
+        }
+        errors = {k: angular_error(r.normal, case.normal, case.mask).summary()["mean"] for k, r in solved.items()}
+        ratio = lamps.positions.norm(dim=1).mean() * pixel / apart.norm(dim=1).mean()
+        rows[name] = errors | {"distance found / true": float(ratio)}
+    return rows
+
+
 def two_roughnesses() -> dict[str, dict[str, float]]:
     """Mean error on objects of two roughnesses, solved with one roughness (`vcavity`) and by `auto`."""
     rows = {}
@@ -283,6 +307,7 @@ ON_FIRST: dict[str, Callable[[Photographs, bool], Curves]] = {
 """Curves of one object: the second folder, or the first rendered capture."""
 ON_ITS_OWN: dict[str, Callable[[], dict[str, dict[str, float]] | Curves]] = {
     "near lights": lambda: {"distance, percent": wrong_distance()},
+    "light positions": light_positions,
     "two roughnesses": two_roughnesses,
     "light between parts": light_between,
 }

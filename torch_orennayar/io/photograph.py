@@ -29,8 +29,8 @@ def load_photograph(
     Args:
         path: the picture.
         light: (3,) unit direction to the light; where it is not known, None, the capture states the view's.
-        mask: its mask file; white is the object. ``"whole"``: every pixel. Default: what the light reaches before a dark
-            background, and every pixel where there is no such background.
+        mask: its mask file; white is the object. ``"whole"``: every pixel. Default: what the light reaches before a
+            dark background, and every pixel where there is no such background.
         encoding: as in `load_capture`.
 
     Returns:

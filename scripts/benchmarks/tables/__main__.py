@@ -26,6 +26,7 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "few lights": stereo.few_lights,
     "wrong calibration": stereo.wrong_calibration,
     "near lights": stereo.near_lights,
+    "light positions": stereo.light_positions,
     "unknown lights": stereo.unknown_lights,
     "unknown lights, few": stereo.unknown_lights_few,
     "stereo edge cases": stereo.edge_cases,

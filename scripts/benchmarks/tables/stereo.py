@@ -202,6 +202,14 @@ def near_lights() -> str:
     return f"{section.source}\n\n{_curves(section.results, 'mean error in degrees with an error of')}"
 
 
+def light_positions() -> str:
+    """Error under near lights by what is known of them."""
+    section = load_section(STEREO, "light positions")
+    columns = ("as distant", "distance found", "positions known", "distance found / true")
+    rows = [[name, *(f"{row[column]:.2f}" for column in columns)] for name, row in section.results.items()]
+    return f"{section.source}\n\n{table(['mean error in degrees of normals', *columns], rows)}"
+
+
 def confidence() -> str:
     """Error by predicted error."""
     section = load_section(STEREO, "confidence")
