@@ -10,7 +10,14 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from tests.support import rendered_captures
-from torch_orennayar import CaptureError, angular_error, find_light_positions, near_light_stereo, photometric_stereo
+from torch_orennayar import (
+    CaptureError,
+    RangeError,
+    angular_error,
+    find_light_positions,
+    near_light_stereo,
+    photometric_stereo,
+)
 
 COUNT, SIZE = 12, 64
 
@@ -100,6 +107,27 @@ def test_a_rough_object_without_a_table(meshes: dict[str, tuple[Tensor, Tensor]]
     near = near_light_stereo(seen, found.positions, scene.mask, model="vcavity")
     error, bent = (angular_error(r.normal, scene.normal, scene.mask).summary()["mean"] for r in (near, distant))
     assert error < 3 < 8 < bent
+
+
+@pytest.mark.parametrize("dtype", [torch.float16, torch.float64])
+def test_types_and_threads_change_nothing(dtype: torch.dtype) -> None:
+    images, light, _ = relief(2.5)
+    threads, found = torch.get_num_threads(), find_light_positions(images, light)
+    torch.set_num_threads(threads + 1)
+    try:
+        again = find_light_positions(images, light)
+    finally:
+        torch.set_num_threads(threads)
+    assert torch.equal(found.positions, again.positions)
+    other = find_light_positions(images.to(dtype), light.to(dtype))
+    assert other.positions.dtype == other.intensities.dtype == dtype
+    assert other.distance == pytest.approx(found.distance, rel=1e-2)
+
+
+def test_lights_that_are_no_directions_are_refused() -> None:
+    images, light, _ = relief(2.5)
+    with pytest.raises(RangeError, match="unit vectors"):
+        find_light_positions(images, 2 * light)
 
 
 def test_few_lights_are_refused() -> None:

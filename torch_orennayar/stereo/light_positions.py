@@ -9,13 +9,13 @@ from functools import partial
 from typing import NamedTuple
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 
-from ..core.checks import check_floating
+from ..core.checks import check_floating, check_unit
 from ..core.defaults import independent_of_defaults
 from ..core.errors import CaptureError
 from ..core.findings import Finding
+from ..core.threads import small_operations
 from ..geometry.integrate import integrate_normals
 from .broken_frames import judge_frames
 from .calibrate import find_brightness, unequal_brightness
@@ -98,6 +98,7 @@ def find_light_positions(
 
     Raises:
         ShapeError: shapes do not fit together.
+        RangeError: directions that are not unit vectors.
         CaptureError: fewer than 8 lights, or images that do not tell the distance.
 
     Source:
@@ -120,14 +121,46 @@ def find_light_positions(
             "lights", expected=f"directions (K, 3) of at least {MIN_LIGHTS}", got=str(tuple(lights.shape)),
             mend="photograph under more lights, or measure their positions",
         )  # fmt: skip
+    check_unit("lights", lights, 1, gaps=False)
     images, _ = leave_out(images, find_valid(images, inside, valid), inside)
     inside = inside & ~find_dark_pixels(images, inside)
     scene, small = _reduced(images, lights, inside, origin)
     check_directions(scene.sample.directions)
+    with small_operations():
+        found = _search(scene, small)
+    text = (
+        f"lights found near, at {found.distance:.1f} +- {found.uncertainty:.1f} times the object's size: they leave an "
+        f"error of {found.error:.3f}, distant ones {found.distant:.3f}."
+    )
+    findings = [Finding(text, "light-distance-found", found.distance)]
+    divisor = found.intensities.to(images)
+    if bool((divisor != 1).any()):
+        text = f"brightness of the lights found from the photographs, {divisor.min():.2f} to {divisor.max():.2f}."
+        findings.append(Finding(text, "intensities-from-capture"))
+    factor = reduction(inside, PIXELS)
+    x, y = (factor * (v + 0.5) - 0.5 for v in scene.middle)
+    middle = torch.tensor((x - (images.shape[3] - 1) / 2, (images.shape[2] - 1) / 2 - y, 0.0))
+    positions = factor * scene.size * scene.lamps(scene.sample.directions.light, found.distance) + middle
+    return LightPositions(positions.to(lights), found.distance, found.uncertainty, divisor, tuple(findings))
+
+
+class _Search(NamedTuple):
+    """What `_search` found: the distance in sizes of the object, (K, 1) brightness, errors near and distant."""
+
+    distance: float
+    uncertainty: float
+    intensities: Tensor
+    error: float
+    distant: float
+
+
+def _search(scene: NearScene, small: Tensor) -> _Search:
+    """The distance of the lights of a scene whose pixels lie in ``small``, (h, w) bool."""
     material, distance = _on_a_plane(scene)
-    intensities = unequal_brightness(scene.under_near_lights(distance))
-    if intensities is not None:
-        scene = _divided(scene, intensities)
+    unequal = unequal_brightness(scene.under_near_lights(distance))
+    intensities = torch.ones_like(scene.sample.grey[:1].T) if unequal is None else unequal
+    if unequal is not None:
+        scene = _divided(scene, unequal)
         material, distance = _on_a_plane(scene)
     broken, _ = judge_frames(scene.under_near_lights(distance))
     if bool(broken.any()):
@@ -136,9 +169,9 @@ def find_light_positions(
     for _ in range(ROUNDS):
         scene = _on_its_surface(scene, small, material, distance)
         distance = _refined(scene, material, distance)
-        if intensities is not None:
+        if unequal is not None:
             rest, _ = find_brightness(scene.under_near_lights(distance), BRIGHTNESS_ROUNDS)
-            scene, intensities = _divided(scene, rest), intensities * rest
+            scene, intensities[~broken] = _divided(scene, rest), intensities[~broken] * rest
     near, distant = scene.fit(distance, material)[1], scene.least_error()
     if not near < TELLS * distant:
         raise CaptureError(
@@ -146,22 +179,7 @@ def find_light_positions(
             got=f"distant ones explain them about as well (error {distant:.3f}, at {distance:.1f} sizes {near:.3f})",
             mend="solve as under distant lights, or measure the lights' positions",
         )  # fmt: skip
-    uncertainty = _uncertainty(scene, material, distance)
-    text = (
-        f"lights found near, at {distance:.1f} +- {uncertainty:.1f} times the object's size: they leave an error of "
-        f"{near:.3f}, distant ones {distant:.3f}."
-    )
-    findings = [Finding(text, "light-distance-found", distance)]
-    if intensities is not None:
-        spread = f"{intensities.min():.2f} to {intensities.max():.2f}"
-        text = f"brightness of the lights found from the photographs, {spread}."
-        findings.append(Finding(text, "intensities-from-capture"))
-    factor = reduction(inside, PIXELS)
-    x, y = (factor * (v + 0.5) - 0.5 for v in scene.middle)
-    middle = lights.new_tensor((x - (images.shape[3] - 1) / 2, (images.shape[2] - 1) / 2 - y, 0.0))
-    positions = factor * scene.size * scene.lamps(F.normalize(lights, dim=1), distance) + middle
-    divisor = torch.ones_like(images[:, 0, :1, 0]) if intensities is None else intensities.to(images)
-    return LightPositions(positions, distance, uncertainty, divisor, tuple(findings))
+    return _Search(distance, _uncertainty(scene, material, distance), intensities, near, distant)
 
 
 def _reduced(
@@ -169,7 +187,7 @@ def _reduced(
 ) -> tuple[NearScene, Tensor]:
     """The pixels of the reduced photographs, and where they lie, (h, w) bool."""
     grey, small = gather_reduced(images, inside, PIXELS)
-    directions = LightDirections.of(F.normalize(lights.detach().cpu().float(), dim=1))
+    directions = LightDirections.of(lights.detach().cpu().float())
     sample = PixelSample(grey.float(), directions, small.flatten().nonzero().flatten(), small.shape[1])
     factor = reduction(inside, PIXELS)
     start = None if origin is None else ((origin[0] + 0.5) / factor - 0.5, (origin[1] + 0.5) / factor - 0.5)
