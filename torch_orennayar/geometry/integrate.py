@@ -223,7 +223,7 @@ class _Solver:
     """
 
     def __init__(self, pairs: Sequence[_Pairs], count: int) -> None:
-        require("pyamg", "scipy")
+        require("pyamg", "scipy")  # both are named at once where both are missing
         import scipy.sparse
 
         self.count = count
@@ -241,6 +241,7 @@ class _Solver:
 
     def solve(self, trust: Floats, start: Floats) -> Floats:
         """Heights (P,) for the trust (E,) in the pairs."""
+        require("pyamg", "scipy")
         import pyamg
         import scipy.sparse.linalg
 
