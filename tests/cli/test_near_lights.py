@@ -15,6 +15,7 @@ from tests.support import rendered_captures
 from tests.support.command_line import Run
 from torch_orennayar import angular_error
 from torch_orennayar.io.capture import save_capture
+from torch_orennayar.stereo import light_positions
 
 
 @pytest.mark.slow
@@ -108,3 +109,17 @@ def test_lamps_taken_as_distant_where_told(orennayar: Run, ring: tuple[Path, Ten
     assert "the surface found is bent" in result.out
     found = torch.from_numpy(np.load(tmp_path / "normal.npy"))
     assert angular_error(found, normal).summary()["mean"] > 5
+
+
+@pytest.mark.filterwarnings("ignore:lights at about 2 times")
+def test_a_distance_that_is_not_found_is_no_end(
+    orennayar: Run, ring: tuple[Path, Tensor], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where near lights are seen but not how far they are, they are taken as distant, with a warning."""
+    monkeypatch.setattr(light_positions, "TELLS", 0.0)
+    result = orennayar("stereo", ring[0], "-o", tmp_path, "--model", "lambert", "--no-report")
+    assert result.status == 0
+    assert "the surface found is bent" in result.out
+    asked = orennayar("stereo", ring[0], "-o", tmp_path, "--model", "lambert", "--no-report", "--near")
+    assert asked.status == 1
+    assert "solve as under distant lights" in asked.err

@@ -76,15 +76,18 @@ def solve_at_positions(loaded: Capture, model: StereoModel, distance: float, fov
     return replace(found, depth=(distance - found.depth) / pixel_mm(loaded, distance, fov) * loaded.mask)
 
 
-def seem_near(loaded: Capture, seed: int) -> bool:
-    """Whether lights whose directions are known are seen to be near."""
+def solve_if_near(loaded: Capture, model: StereoModel, seed: int) -> Reconstruction | None:
+    """`solve_at_some_distance` where lights of known directions are seen to be near, and how far; else None."""
     from ..stereo.near_evidence import shows_near_lights
 
-    if _were_found(loaded):
-        return False
-    valid = loaded.valid
-    inside = loaded.mask if valid is None else loaded.mask & valid.all(0)
-    return bool(inside.any()) and shows_near_lights(loaded.images, loaded.lights, inside, _origin(loaded), seed=seed)
+    inside = loaded.mask if loaded.valid is None else loaded.mask & loaded.valid.all(0)
+    if _were_found(loaded) or not bool(inside.any()):
+        return None
+    try:
+        near = shows_near_lights(loaded.images, loaded.lights, inside, _origin(loaded), seed=seed)
+        return solve_at_some_distance(loaded, model, seed) if near else None
+    except CaptureError:  # the photographs do not tell after all; what else is wrong shows under distant lights too
+        return None
 
 
 def solve_at_some_distance(loaded: Capture, model: StereoModel, seed: int) -> Reconstruction:

@@ -12,7 +12,7 @@ import typer
 
 from ..core.errors import RangeError
 from ..core.files import check_output
-from .near_lights import check_near_options, pixel_mm, seem_near, solve_at_positions, solve_at_some_distance
+from .near_lights import check_near_options, pixel_mm, solve_at_positions, solve_at_some_distance, solve_if_near
 from .options import (
     BallOutline,
     ChromeFolder,
@@ -182,8 +182,12 @@ def _solve(
     """Solve under lights whose directions are known, near ones if ``near`` says or the photographs show so."""
     from ..stereo.solver import photometric_stereo
 
-    if near or (near is None and not (least_squares or refine_lights) and seem_near(loaded, seed)):
+    if near:
         return solve_at_some_distance(loaded, model, seed)
+    if near is None and not (least_squares or refine_lights):
+        found = solve_if_near(loaded, model, seed)
+        if found is not None:
+            return found
     return photometric_stereo(
         loaded.images,
         loaded.lights,
