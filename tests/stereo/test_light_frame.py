@@ -31,6 +31,25 @@ def test_a_mirrored_axis_is_told(axis: int) -> None:
     assert len(findings(found, "lights-mirrored")) == 1
 
 
+@pytest.mark.parametrize(
+    ("turn", "words"),
+    [
+        pytest.param(
+            [[-1.0, 0, 0], [0, -1, 0], [0, 0, 1]], "a hollow, or .* turned by about 180 degrees", id="half a turn"
+        ),
+        pytest.param([[0.0, 1, 0], [1, 0, 0], [0, 0, 1]], "x and y exchanged", id="exchanged"),
+        pytest.param([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]], "turned by about 90 degrees", id="a quarter to the left"),
+        pytest.param([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]], "turned by about 90 degrees", id="a quarter to the right"),
+    ],
+)
+def test_a_turned_frame_is_told(turn: list[list[float]], words: str) -> None:
+    lights = spiral_lights(12)
+    images, mask = photographs(lights)
+    with pytest.warns(UserWarning, match=words):
+        found = photometric_stereo(images, lights @ torch.tensor(turn), mask, model="lambert")
+    assert len(findings(found, "lights-mirrored")) == 1
+
+
 def test_right_lights_and_missing_outlines_say_nothing(rough: Scene) -> None:
     lights = spiral_lights(12)
     images, mask = photographs(lights)

@@ -11,6 +11,7 @@ from .result_maps import ResultMaps
 DOUBTFUL = {
     "lights-unequal": "The lights were taken as equally bright, and are not.",
     "lights-out-of-order": "The lines of the light file seem to belong to other photographs.",
+    "lights-contradicted": "The photographs contradict the light directions that were given.",
     "lights-mirrored": "The normals oppose the object's outline: the lights' axes may be mirrored.",
     "falloff-steep": "The pictures darken toward grazing light more than a surface does: is their encoding right?",
     "lights-near": "The lights stood near, and were taken as far away: the surface found is bent.",

@@ -44,7 +44,7 @@ def factor(grey: Tensor, inside: Tensor) -> Tensor:
         grey: (P, K) float64.
         inside: (H, W) bool, where the pixels lie; its edge is taken as the object's outline.
     """
-    seen = _Observations.of(grey)
+    seen = Observations.of(grey)
     outline = silhouette_normals(inside[None])[:, inside].T.to(grey)
     lights = seen.regress_lights(outline * (grey.mean(1, keepdim=True) / outline[:, 2:].clamp_min(LEAST_FACING)))
     for _ in track(range(ROUNDS), "finding lights", ROUNDS):
@@ -52,7 +52,7 @@ def factor(grey: Tensor, inside: Tensor) -> Tensor:
     return lights
 
 
-class _Observations(NamedTuple):
+class Observations(NamedTuple):
     """Grey observations and those of them that count.
 
     Attributes:
@@ -66,12 +66,12 @@ class _Observations(NamedTuple):
     dim: Tensor
 
     @staticmethod
-    def of(grey: Tensor) -> _Observations:
+    def of(grey: Tensor) -> Observations:
         """Which of them count does not depend on lights and normals."""
         bright = ascending(grey.T.contiguous())[:, min(int(BRIGHTEST_LEFT_OUT * len(grey)), len(grey) - 1)]
         level = ascending(grey)[:, min(int(BRIGHT * grey.shape[1]), grey.shape[1] - 1), None]
         dim = ((grey <= bright) & (grey > SHADOW * level)).to(grey)
-        return _Observations(grey, between_ranks(grey, *MIDDLE_RANKS), dim)
+        return Observations(grey, between_ranks(grey, *MIDDLE_RANKS), dim)
 
     def regress_lights(self, scaled: Tensor) -> Tensor:
         """Lights (K, 3) times their brightness, from albedo times normals (P, 3)."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 from torch import Tensor
 
@@ -17,6 +19,9 @@ TILT = 0.3
 """Least slant to the side of the outline's normals that say where left and right, up and down are; set by hand."""
 OPPOSED = 0.5
 """Correlation of normals with the outline's beyond which an axis agrees, or is turned round; set by hand."""
+TURNED, HALF_TURN = 60.0, 150.0
+"""Degrees between normals and outline, around the view, from which the lights' frame is turned, and from which a hollow
+would show the same. Set by hand."""
 
 
 def check_light_frame(images: Tensor, lights: Tensor, inside: Tensor) -> list[Finding]:
@@ -39,16 +44,40 @@ def check_light_frame(images: Tensor, lights: Tensor, inside: Tensor) -> list[Fi
     normal = grey @ torch.linalg.pinv(lights.double().cpu()).T
     outline = silhouette_normals(small[None])[:, small].T.to(normal)
     side = outline[:, :2].norm(dim=1) > TILT
-    across, up = (_correlation(normal[side, axis], outline[side, axis]) for axis in (0, 1))
+    agree = [[_correlation(normal[side, i], outline[side, j]) for j in (0, 1)] for i in (0, 1)]
+    found = _turned(agree)
+    if found is None:
+        return []
+    warn(found[0])
+    return [Finding(found[0], "lights-mirrored", found[1])]
+
+
+def _turned(agree: list[list[float]]) -> tuple[str, float] | None:
+    """What is wrong with the frame by how x and y of normals agree with the outline's, and the correlation."""
+    (across, x_with_y), (y_with_x, up) = agree
     for turned, kept, name, way in ((up, across, "y", "down"), (across, up, "x", "left")):
         if turned < -OPPOSED and kept > OPPOSED:
-            text = (
+            return (
                 f"the surface leans against its outline along {name}: the light directions seem to have {name} "
-                f"pointing {way}; turn the sign of their {name} (x right, y up, z toward the camera)."
+                f"pointing {way}; turn the sign of their {name} (x right, y up, z toward the camera).",
+                turned,
             )
-            warn(text)
-            return [Finding(text, "lights-mirrored", turned)]
-    return []
+    angle = math.degrees(math.atan2(x_with_y - y_with_x, across + up))  # by which the outline is turned from normals
+    alike = math.hypot(across + up, x_with_y - y_with_x) / 2
+    if alike > OPPOSED and abs(angle) > TURNED:
+        hollow = "it is a hollow, or " if abs(angle) > HALF_TURN else ""
+        return (
+            f"the surface leans against its outline: {hollow}the light directions seem to be turned by about "
+            f"{abs(angle):.0f} degrees around the view (x right, y up, z toward the camera).",
+            math.cos(math.radians(angle)) * alike,
+        )
+    if max(abs(across), abs(up)) < OPPOSED < min(abs(x_with_y), abs(y_with_x)):
+        return (
+            "the surface leans along y where its outline leans along x: the light directions seem to have x and y "
+            "exchanged (x right, y up, z toward the camera).",
+            x_with_y,
+        )
+    return None
 
 
 def _correlation(one: Tensor, other: Tensor) -> float:

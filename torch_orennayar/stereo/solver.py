@@ -19,6 +19,7 @@ from ..reflectance.models import get_model
 from .broken_frames import find_broken_frames
 from .capture_checks import check_directions, check_shapes, find_dark_pixels, find_valid, leave_out
 from .interreflection import choose_interreflected_light
+from .light_contradiction import check_directions_fit
 from .light_frame import check_light_frame
 from .light_knowledge import Intensities, doubt_brightness, know_lights
 from .material_choice import choose_material, judge_roughness_map
@@ -167,7 +168,9 @@ def _solve_known(
         findings += found_broken
         if bool(broken.any()):
             images, lights, sample = images[~broken], lights[~broken], sample.under(~broken)
-    if lights.ndim == 2:
+        if not {"lights-near", "lights-unequal"} & {finding.code for finding in findings}:
+            findings += check_directions_fit(sample)
+    if lights.ndim == 2 and "lights-contradicted" not in {finding.code for finding in findings}:
         findings += check_light_frame(images, lights, inside)
     choice = choose_material(sample, model, seed) if robust and model != NETWORK else MaterialChoice()
     choice, mixture = _choose_materials(images, lights, inside & ~dark, choice, seed)
