@@ -45,6 +45,7 @@ CALLS: dict[str, Callable[[], Any]] = {
     "vertex_normals": lambda: ton.vertex_normals(vertices, faces),
     "normalise_mesh": lambda: ton.normalise_mesh(vertices),
     "save_mesh": lambda: ton.save_mesh("never.ply", vertices, faces),
+    "RandomRelight": lambda: ton.RandomRelight()({"normal": normal}),
     "OrenNayar": lambda: ton.OrenNayar()(normal, lights[0]),
 }
 

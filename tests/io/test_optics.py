@@ -121,6 +121,12 @@ def test_the_angle_that_files_state_is_taken(tmp_path: Path) -> None:
     assert off(load_capture(tmp_path, mask="whole", encoding="linear"), lights) < 5
 
 
+@pytest.mark.parametrize("angle", [0.0, 12.2, -0.5, math.nan])
+def test_an_angle_in_degrees_is_refused(tmp_path: Path, angle: float) -> None:
+    with pytest.raises(RangeError, match=r"math\.radians"):
+        load_capture(tmp_path, fov_y=angle)
+
+
 def test_an_angle_without_a_ball_is_refused(tmp_path: Path) -> None:
     photographs(tmp_path, FOV)
     np.savetxt(tmp_path / "light_directions.txt", np.eye(3)[[0, 1, 2, 0, 1, 2]] * 0 + [0, 0, 1])

@@ -83,7 +83,7 @@ def test_lamps_of_unequal_brightness() -> None:
     assert solve(images, light, normal) < 1.0
 
 
-@pytest.mark.parametrize("distance", [40.0, 1e6])
+@pytest.mark.parametrize("distance", [12.0, 40.0, 1e6])
 def test_lamps_far_away_are_refused(distance: float) -> None:
     images, light, _ = relief(distance)
     with pytest.raises(CaptureError, match="solve as under distant lights"):

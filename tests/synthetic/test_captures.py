@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import fields, replace
 from itertools import islice
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import pytest
 import torch
@@ -19,7 +19,7 @@ from torch.multiprocessing.spawn import spawn
 from torch.utils.data import DataLoader
 
 import torch_orennayar as ton
-from torch_orennayar import Ingredients, SyntheticCaptures, SyntheticImages, SyntheticPixels
+from torch_orennayar import Ingredients, RangeError, SyntheticCaptures, SyntheticImages, SyntheticPixels
 from torch_orennayar.synthetic.materials import transmitted
 
 PLAIN = Ingredients(
@@ -375,3 +375,9 @@ def test_batches_of_different_numbers_of_lights() -> None:
         ton.collate_captures([SyntheticCaptures(observations=60).sample(0)])  # type: ignore[list-item]
     with pytest.raises(ton.ShapeError, match="one size"):
         ton.collate_captures([samples[0], SyntheticCaptures("images", lights=(3, 3), size=(8, 8)).sample(0)])
+
+
+@pytest.mark.parametrize("index", [-1, "0", 1.5])
+def test_a_number_that_no_capture_has(index: Any) -> None:
+    with pytest.raises(RangeError, match="from 0 on"):
+        SyntheticCaptures("images", size=(16, 16)).sample(index)

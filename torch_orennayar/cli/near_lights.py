@@ -95,11 +95,6 @@ def solve_at_some_distance(loaded: Capture, model: StereoModel, seed: int) -> Re
     from ..stereo.light_positions import find_light_positions
     from ..stereo.near_light import near_light_stereo
 
-    if _were_found(loaded):
-        raise CaptureError(
-            "--near", expected="lights whose directions are known", got="lights found from the photographs",
-            mend="photograph a mirror ball, or give --lights or --positions",
-        )  # fmt: skip
     near = find_light_positions(loaded.images, loaded.lights, loaded.mask, origin=_origin(loaded), valid=loaded.valid)
     scale = near.intensities * near.positions.square().sum(1).mean()  # of irradiance 1 where the object is, in the mean
     images = loaded.images / scale[:, :, None, None]

@@ -43,9 +43,7 @@ UnitOption = Annotated[
     Literal["mm", "cm", "m", "in"] | None,
     typer.Option(help="Unit of --positions where the file states none, and of --camera-distance."),
 ]
-FOV_HELP = (
-    "Vertical view of the whole photographs in degrees, for --positions and balls; default: as Exif states, or 0."
-)
+FOV_HELP = "Vertical view of whole photographs in degrees, for --positions, or a ball (default: as Exif states)."
 NearOption = Annotated[
     bool | None,
     typer.Option("--near/--distant", help="Lamps near, their distance found, or far away; default: what is seen."),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -171,6 +172,8 @@ def load_capture(
         torch.Size([3, 3, 4, 5])
     """
     check_encoding(encoding)
+    if fov_y is not None and not 0 < fov_y < math.pi:
+        raise RangeError("fov_y", expected="radians in (0, pi)", got=str(fov_y), mend="use math.radians")
     source = Path(path)
     if not source.exists():
         raise FileError(

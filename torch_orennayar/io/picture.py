@@ -69,6 +69,8 @@ def read_picture(path: str | os.PathLike[str]) -> Picture:
             stated = stated_encoding(stream)
     except FileNotFoundError as error:
         raise FileError(str(file), expected="an image file", got="nothing there", mend="check the name") from error
+    except IsADirectoryError as error:
+        raise FileError(str(file), expected="an image file", got="a folder", mend="give one picture in it") from error
     except OSError as error:
         raise FileError(str(file), expected="a readable file", got=str(error), mend="check its permissions") from error
     except EncodingError as error:

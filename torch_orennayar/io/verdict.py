@@ -23,6 +23,7 @@ WORTH_A_LOOK = {
     "lights-refined": "The lights of the file contradicted the photographs and were replaced.",
     "lights-close-together": "The lights stood close together: normals are sensitive to noise.",
     "frames-left-out": "Some photographs contradict the others and were left out.",
+    "no-contour": "No outline is known: how far the surface leans as a whole is a guess.",
     "no-mask": "There is no mask, and no dark background: everything in the picture was solved.",
     "clipped-samples": "Some samples are at full scale and were left out.",
     "dark-pixels": "Some pixels are reached by fewer than 3 lights.",

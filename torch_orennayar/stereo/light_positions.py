@@ -38,6 +38,8 @@ FINE = 1.1
 TELLS = 0.9
 """Share of the error under distant lights that near ones must reach. Set by hand: .44 to .63 on tables under lamps at
 1.8 and 2.3 times their size; under lamps at 5 times an object's size, and distant ones, none is below .98."""
+FAR = 8.0
+"""Distance, in sizes of the object, beyond which lights are distant; set by hand."""
 PARTS = 4
 """Parts of the pixels: all materials and distances are tried on one of them, and for the uncertainty of the distance
 that of each is compared. Set by hand."""
@@ -173,7 +175,7 @@ def _search(scene: NearScene, small: Tensor) -> _Search:
             rest, _ = find_brightness(scene.under_near_lights(distance), BRIGHTNESS_ROUNDS)
             scene, intensities[~broken] = _divided(scene, rest), intensities[~broken] * rest
     near, distant = scene.fit(distance, material)[1], scene.least_error()
-    if not near < TELLS * distant:
+    if not near < TELLS * distant or distance > FAR:
         raise CaptureError(
             "images", expected="photographs that tell how far near lights are",
             got=f"distant ones explain them about as well (error {distant:.3f}, at {distance:.1f} sizes {near:.3f})",

@@ -162,16 +162,13 @@ def _solve_known(
     dark = find_dark_pixels(images, inside)
     sample = PixelSample.gather(images, lights, draw_places(inside & ~dark, SAMPLE_PIXELS, seed))
     findings = check_directions(sample.directions) + clipped
-    if robust and lights.ndim == 2:  # maps of near lights are refined with the surface, and misfit until then
-        findings += check_distant_lights(sample, inside) + doubt_brightness(sample)
-        broken, found_broken = find_broken_frames(sample)
-        findings += found_broken
-        if bool(broken.any()):
-            images, lights, sample = images[~broken], lights[~broken], sample.under(~broken)
-        if not {"lights-near", "lights-unequal"} & {finding.code for finding in findings}:
-            findings += check_directions_fit(sample)
-    if lights.ndim == 2 and "lights-contradicted" not in {finding.code for finding in findings}:
-        findings += check_light_frame(images, lights, inside)
+    if lights.ndim == 2:  # maps of near lights are refined with the surface, and misfit until then
+        kept, judged = _judge_lights(sample, inside) if robust else (None, [])
+        if kept is not None:
+            images, lights, sample = images[kept], lights[kept], sample.under(kept)
+        if "lights-contradicted" not in {finding.code for finding in judged}:
+            judged += check_light_frame(images, lights, inside)
+        findings += judged
     choice = choose_material(sample, model, seed) if robust and model != NETWORK else MaterialChoice()
     choice, mixture = _choose_materials(images, lights, inside & ~dark, choice, seed)
     findings += choice.findings
@@ -210,6 +207,16 @@ def _solve_known(
         material=None if maps.material is None else maps.material - 1,
         falloffs=() if maps.material is None or mixture is None else mixture.falloffs,
     )
+
+
+def _judge_lights(sample: PixelSample, inside: Tensor) -> tuple[Tensor | None, list[Finding]]:
+    """Which photographs do not contradict the others, (K,) bool or None for all, and what pixels say of the lights."""
+    findings = check_distant_lights(sample, inside) + doubt_brightness(sample)
+    broken, left_out = find_broken_frames(sample)
+    findings += left_out
+    if not {"lights-near", "lights-unequal"} & {finding.code for finding in findings}:
+        findings += check_directions_fit(sample.under(~broken))
+    return ~broken if left_out else None, findings
 
 
 def _choose_materials(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 import torch
 from torch import Tensor, nn
 
-from ..core.checks import check_count
+from ..core.checks import check_count, check_floating
 from ..core.errors import RangeError, ShapeError
 from ..core.optional import require
 from ..shading.layer import OrenNayar
@@ -291,6 +291,7 @@ class RandomRelight(nn.Module):
         if "normal" not in batch:
             raise ShapeError("batch", expected="'normal' (B, 3, H, W)", got=", ".join(batch), mend="add the normals")
         normal = batch["normal"]
+        check_floating(normal=normal)
         drawn = torch.rand(len(normal), self.lights, 2, generator=self.generator, device=self._device(normal)).to(
             normal
         )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Iterator, Sequence
+from numbers import Integral
 from typing import Literal, TypeVar, cast, overload
 
 import torch
@@ -202,7 +203,13 @@ class SyntheticCaptures(IterableDataset[Sample]):
     @independent_of_defaults
     @small_operations()
     def sample(self, index: int) -> Sample:
-        """Capture number ``index``."""
+        """Capture number ``index``, which counts from 0.
+
+        Raises:
+            RangeError: no integer, or below 0.
+        """
+        if not isinstance(index, Integral) or index < 0:
+            raise RangeError("index", expected="an integer from 0 on", got=repr(index), mend="count from 0")
         draw = self._draw(self.kind, index)
         count = self._draw_light_count(draw)
         made: SyntheticPixels | SyntheticImages
