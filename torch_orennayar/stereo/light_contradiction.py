@@ -11,8 +11,8 @@ from .material_refinement import capped_error
 from .pixel_sample import PixelSample
 from .robust_stats import in_light, mean_brightness
 
-MIN_LIGHTS = 4
-"""Photographs; any three lights explain three. Set by hand."""
+MIN_LIGHTS = 5
+"""Photographs; any three lights explain three, and free ones explain four of anything. Set by hand."""
 PIXELS, ROUNDS = 1000, 6
 """Pixels that are looked at, and alternations between normals and free lights; set by hand, for some hundredths of a
 second."""
@@ -48,8 +48,8 @@ def check_directions_fit(sample: PixelSample) -> list[Finding]:
         return []
     text = (
         f"the photographs contradict the light directions: others explain them far better (error {free:.3f} against "
-        f"{given:.3f}). Are they in another order, or of another capture? refine_lights=True (--refine-lights) seeks "
-        "better ones."
+        f"{given:.3f}). Are they in another order, of another capture, or measured badly? refine_lights=True "
+        "(--refine-lights) seeks better ones."
     )
     warn(text)
     return [Finding(text, "lights-contradicted", free / given)]

@@ -12,11 +12,14 @@ from ..core.optional import available
 from ..core.warn import warn
 from ..geometry.height_field import silhouette_normals
 from .pixel_sample import gather_reduced
+from .robust_stats import MISSING
 
 PIXELS = 4000
 """Pixels, about, of the reduced photographs that are looked at; set by hand, for milliseconds."""
 TILT = 0.3
 """Least slant to the side of the outline's normals that say where left and right, up and down are; set by hand."""
+LEAST = 30
+"""Pixels with such normals, all of whose samples were measured, that are enough; set by hand."""
 OPPOSED = 0.5
 """Correlation of normals with the outline's beyond which an axis agrees, or is turned round; set by hand."""
 TURNED, HALF_TURN = 60.0, 150.0
@@ -43,7 +46,10 @@ def check_light_frame(images: Tensor, lights: Tensor, inside: Tensor) -> list[Fi
         return []
     normal = grey @ torch.linalg.pinv(lights.double().cpu()).T
     outline = silhouette_normals(small[None])[:, small].T.to(normal)
-    side = outline[:, :2].norm(dim=1) > TILT
+    measured = (grey != MISSING).all(1)
+    side = (outline[:, :2].norm(dim=1) > TILT) & measured
+    if int(side.sum()) < LEAST:
+        return []
     agree = [[_correlation(normal[side, i], outline[side, j]) for j in (0, 1)] for i in (0, 1)]
     found = _turned(agree)
     if found is None:
