@@ -39,7 +39,8 @@ ROUGHNESS, ALBEDO, NOISE = math.radians(20), 0.6, 0.01
 """Of every surface, and standard deviation of the noise as a share of white."""
 EXPECTED = {
     "model-chosen", "roughness-found", "roughness-map", "falloff-found", "interreflection-kept",
-    "interreflection-removed", "lights-found", "brightness-found", "network-beside"}  # fmt: skip
+    "interreflection-removed", "lights-found", "brightness-found", "network-beside",
+}  # fmt: skip
 """Codes of findings that are no doubts."""
 
 
