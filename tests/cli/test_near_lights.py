@@ -13,6 +13,7 @@ from torch import Tensor
 
 from tests.support import rendered_captures
 from tests.support.command_line import Run
+from tests.support.near_relief import SIZE, relief
 from torch_orennayar import angular_error
 from torch_orennayar.io.capture import save_capture
 from torch_orennayar.stereo import light_positions
@@ -72,16 +73,9 @@ def test_options_that_do_not_go_together(
 @pytest.fixture(scope="module")
 def ring(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Tensor]:
     """A folder of photographs of a wavy table under a ring of lamps at twice its size, and the true normals."""
-    folder, size, count = tmp_path_factory.mktemp("ring"), 64, 12
-    place = (torch.arange(size) - (size - 1) / 2) / size
-    x, y = place[None].expand(size, size), -place[:, None].expand(size, size)
-    normal = F.normalize(torch.stack((0.4 * torch.cos(25 * x), 0.4 * torch.sin(20 * y), torch.ones_like(x))), dim=0)
-    turn = torch.arange(count) * 2 * torch.pi / count
-    light = F.normalize(torch.stack((turn.cos(), turn.sin(), torch.full_like(turn, 1.4)), 1), dim=1)
-    toward = 2 * light[:, :, None, None] - torch.stack((x, y, torch.zeros_like(x)))
-    length = toward.norm(dim=1, keepdim=True)
-    images = 0.5 * (normal * toward / length).sum(1, keepdim=True).clamp_min(0) * (2 / length) ** 2
-    save_capture(folder, images.expand(-1, 3, -1, -1), light, torch.ones(1, size, size, dtype=torch.bool))
+    folder = tmp_path_factory.mktemp("ring")
+    images, light, normal = relief(2.0, noise=0.0)
+    save_capture(folder, images.expand(-1, 3, -1, -1), light, torch.ones(1, SIZE, SIZE, dtype=torch.bool))
     return folder, normal
 
 

@@ -26,7 +26,7 @@ ADOBE_RGB_GAMMA = 563 / 256
 """Exponent of Adobe RGB (1998), section 4.3.4.2 of its specification."""
 LINEAR_WITHIN = 0.02
 """A PNG's gAMA this near to 1 says linear light."""
-_EXIF_COLOUR_SPACE, _EXIF_FOLDER, _EXIF_INTEROPERABILITY = 0xA001, 0x8769, 0xA005
+_EXIF_COLOUR_SPACE, EXIF_FOLDER, _EXIF_INTEROPERABILITY = 0xA001, 0x8769, 0xA005
 _PNG_TRANSFERS = {1: "BT.709", 8: "linear", 13: "sRGB"}
 """Transfer characteristics of a PNG's cICP chunk (ITU-T H.273, table 3) that are understood."""
 
@@ -103,7 +103,7 @@ def _header(file: BinaryIO) -> tuple[dict[object, object], str] | None:
 def _exif_says(picture: PIL.Image.Image) -> tuple[bool, bool]:
     """Whether the Exif data name sRGB as the colour space, and Adobe RGB by the index of interoperability."""
     exif = picture.getexif()
-    names = {exif.get(_EXIF_COLOUR_SPACE), exif.get_ifd(_EXIF_FOLDER).get(_EXIF_COLOUR_SPACE)}
+    names = {exif.get(_EXIF_COLOUR_SPACE), exif.get_ifd(EXIF_FOLDER).get(_EXIF_COLOUR_SPACE)}
     try:
         index = exif.get_ifd(_EXIF_INTEROPERABILITY).get(1)
     except KeyError:  # Pillow before 13, where there is no such folder

@@ -96,7 +96,7 @@ def inspect_folder(
             "photographs",
             f"{len(given.files)}, {given.files[0].name} to {given.files[-1].name}, {width} x {height} pixels",
         ),
-        ("lights", _lights_text(given, ball, region.scale)),
+        ("lights", _lights_text(given, ball, region)),
         ("spread of the lights", "unknown" if directions is None else _spread_text(directions)),
         ("mask", f"{'sought' if mask_file is None else mask_file.name}: {covered}, outlined below"),
         ("light with all lamps off", "none" if ambient is None else f"{ambient.name}, subtracted"),
@@ -121,10 +121,10 @@ def _outline(images: Tensor, inside: Tensor) -> Tensor:
     return torch.where(edge, shown.new_tensor(OUTLINE_RED).reshape(3, 1, 1), shown)
 
 
-def _lights_text(given: GivenLights, ball: BallLights | None, scale: float) -> str:
+def _lights_text(given: GivenLights, ball: BallLights | None, region: Region) -> str:
     if ball is not None:
-        x, y = ((v + 0.5) / scale - 0.5 for v in (ball.ball.x, ball.ball.y))
-        radius = ball.ball.radius / scale
+        x, y = region.to_whole(ball.ball.x, ball.ball.y)
+        radius = ball.ball.radius / region.scale
         return f"from a mirror ball at column {x:.0f}, row {y:.0f}, radius {radius:.0f} pixels"
     if given.directions is not None:
         return f"{len(given.directions)} from a light file"

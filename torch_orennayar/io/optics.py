@@ -12,10 +12,12 @@ from torch import Tensor
 
 from ..core.optional import require
 from ..geometry.primitives import Ball
+from .encoding import EXIF_FOLDER
+from .picture import ROTATIONS
 from .region import Region
 
-_EXIF_FOLDER, _EXIF_FOCAL_LENGTH, _EXIF_WIDTH, _EXIF_HEIGHT = 0x8769, 0xA405, 0xA002, 0xA003
-"""Numbers of Exif 2.32: its folder, FocalLengthIn35mmFilm, PixelXDimension, PixelYDimension."""
+_EXIF_ORIENTATION, _EXIF_FOCAL_LENGTH, _EXIF_WIDTH, _EXIF_HEIGHT = 0x0112, 0xA405, 0xA002, 0xA003
+"""Numbers of Exif 2.32: Orientation, FocalLengthIn35mmFilm, PixelXDimension, PixelYDimension."""
 FILM_DIAGONAL = math.hypot(36, 24)
 """Of the film, 36 x 24 mm, that FocalLengthIn35mmFilm refers to, in mm."""
 OUTLINE = 64
@@ -33,15 +35,15 @@ def stated_field_of_view(file: Path) -> float | None:
     try:
         with PIL.Image.open(file) as picture:
             exif = picture.getexif()
-            stated, (width, height) = exif.get_ifd(_EXIF_FOLDER), picture.size
-            on_its_side = exif.get(0x0112, 1) in (5, 6, 7, 8)
+            stated, (width, height) = exif.get_ifd(EXIF_FOLDER), picture.size
+            turns, _ = ROTATIONS.get(exif.get(_EXIF_ORIENTATION, 1), ROTATIONS[1])
         focal = float(stated.get(_EXIF_FOCAL_LENGTH) or 0)
         taken = float(stated.get(_EXIF_WIDTH) or width), float(stated.get(_EXIF_HEIGHT) or height)
     except Exception:  # Pillow raises many kinds for headers it does not know; damage is found while decoding
         return None
     if not (focal > 0 and min(taken) > 0) or abs(width / height / (taken[0] / taken[1]) - 1) > SAME_SHAPE:
         return None
-    upright = width if on_its_side else height
+    upright = width if turns % 2 else height
     return 2 * math.atan(FILM_DIAGONAL / 2 / focal * upright / math.hypot(width, height))
 
 
@@ -60,8 +62,7 @@ class View(NamedTuple):
 
     def rays(self, column: Tensor, row: Tensor) -> Tensor:
         """Unit directions (N, 3) from the camera through pixels (N,) of the region."""
-        left, top = (0, 0) if self.region.crop is None else self.region.crop[:2]
-        x, y = ((v + 0.5) / self.region.scale - 0.5 + start for v, start in ((column, left), (row, top)))
+        x, y = self.region.to_whole(column, row)
         slope = 2 * math.tan(self.fov_y / 2) / self.size[0]
         across, up = slope * (x - (self.size[1] - 1) / 2), slope * ((self.size[0] - 1) / 2 - y)
         return F.normalize(torch.stack((across, up, -torch.ones_like(up)), 1), dim=1)

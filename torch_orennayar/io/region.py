@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -12,6 +13,8 @@ from torch import Tensor
 from ..core.errors import RangeError
 from ..core.optional import require
 from ..geometry.primitives import Ball
+
+Number = TypeVar("Number", float, Tensor)
 
 
 @dataclass(frozen=True)
@@ -87,6 +90,11 @@ class Region:
         left, top = (0, 0) if self.crop is None else self.crop[:2]
         x, y = ((v + 0.5) * self.scale - 0.5 for v in (ball.x - left, ball.y - top))
         return Ball(x, y, ball.radius * self.scale)
+
+    def to_whole(self, column: Number, row: Number) -> tuple[Number, Number]:
+        """Where a pixel of the region lies in the whole photographs; numbers or tensors."""
+        left, top = (0, 0) if self.crop is None else self.crop[:2]
+        return (column + 0.5) / self.scale - 0.5 + left, (row + 0.5) / self.scale - 0.5 + top
 
 
 WHOLE = Region()

@@ -28,7 +28,7 @@ would show the same. Set by hand."""
 
 
 def check_light_frame(images: Tensor, lights: Tensor, inside: Tensor) -> list[Finding]:
-    """Warn where normals agree with the object's outline along one axis of the picture and oppose it along the other.
+    """Warn where normals oppose the object's outline along an axis of the picture, lie across it, or are turned.
 
     Args:
         images: (K, C, H, W) linear light.
@@ -36,7 +36,7 @@ def check_light_frame(images: Tensor, lights: Tensor, inside: Tensor) -> list[Fi
         inside: (H, W) bool, the object.
 
     Returns:
-        A finding where an axis is turned round; nothing where the outline does not tell, or pyamg is not installed.
+        A finding where the frame is another; nothing where the outline does not tell, or pyamg is not installed.
     """
     border = torch.cat((inside[0], inside[-1], inside[:, 0], inside[:, -1]))
     if bool(border.any()) or not available("pyamg", "scipy"):  # the outline may be the picture's, not the object's

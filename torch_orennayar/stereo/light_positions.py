@@ -41,8 +41,8 @@ TELLS = 0.9
 FAR = 8.0
 """Distance, in sizes of the object, beyond which lights are distant; set by hand."""
 PARTS = 4
-"""Parts of the pixels: all materials and distances are tried on one of them, and for the uncertainty of the distance
-that of each is compared. Set by hand."""
+"""Parts of the pixels: all materials and distances are tried on one of them, and the distances that they tell on their
+own differ by the uncertainty. Set by hand."""
 
 
 class LightPositions(NamedTuple):
@@ -83,9 +83,9 @@ def find_light_positions(
     """Find how far away near lights are whose directions are known, for `near_light_stereo`.
 
     All lights are taken to be equally far from the object's middle. Of a near light each pixel sees another direction
-    and brightness: the distance is taken under which a flat matt object that faces the
-    camera explains the images best. Photographs that contradict the others do not count. Lights farther than some five
-    sizes of the object can hardly be told from distant ones. Not differentiable.
+    and brightness: the distance is taken under which a matt or rough surface explains the images best, first on a plane
+    that faces the camera, then on the surface of the normals found. Photographs that contradict the others do not
+    count. Lights farther than some five sizes of the object can hardly be told from distant ones. Not differentiable.
 
     Args:
         images: (K, C, H, W) linear light.

@@ -102,11 +102,13 @@ def near_light_stereo(
     scene = _Scene.of(images, positions, mask, valid, camera, 0.0 if distance is None else distance)
     depth = torch.full_like(images[0, :1], scene.distance)
     for _ in track(range(rounds), "near lights", rounds):
-        _, depth = scene.solve(depth, "lambert", seed)
-    scene, findings = scene.without_broken_frames(depth, seed)
+        _, depth = scene.solve(scene.as_distant(depth), "lambert", seed)
+    lit = scene.as_distant(depth)
+    scene, findings = scene.without_broken_frames(lit, seed)
     if findings:
-        _, depth = scene.solve(depth, "lambert", seed)
-    found, depth = scene.solve(depth, model, seed)
+        _, depth = scene.solve(scene.as_distant(depth), "lambert", seed)
+        lit = scene.as_distant(depth)
+    found, depth = scene.solve(lit, model, seed)
     depth = torch.where(scene.inside, -depth if flat else depth, 0)
     return replace(found, depth=depth, report=(*findings, *found.report))
 
@@ -153,19 +155,18 @@ class _Scene:
         irradiance = torch.maximum(irradiance, DARK * irradiance[:, :, self.inside[0]].mean(2, keepdim=True)[..., None])
         return torch.where(self.inside, self.images / irradiance, 0), _rotate(light, view)
 
-    def solve(self, depth: Tensor, model: str, seed: int) -> tuple[Reconstruction, Tensor]:
-        """What `photometric_stereo` finds for lights seen from that depth, and the depth of its normals."""
-        seen, light = self.as_distant(depth)
+    def solve(self, lit: tuple[Tensor, Tensor], model: str, seed: int) -> tuple[Reconstruction, Tensor]:
+        """What `photometric_stereo` finds for what `as_distant` gives, and the depth of its normals."""
+        seen, light = lit
         found = photometric_stereo(seen, light, self.inside, model=model, valid=self.valid, seed=seed)
         normal = torch.where(self.inside, _rotate(found.normal, self._view(), back=True), 0)
         return replace(found, normal=normal), _integrate(normal, self.inside, self.camera, self.distance)
 
-    def without_broken_frames(self, depth: Tensor, seed: int) -> tuple[_Scene, list[Finding]]:
-        """The photographs that do not contradict the others on a surface of that depth, and a finding on those left."""
-        seen, light = self.as_distant(depth)
-        seen, _ = leave_out(seen, self.valid, self.inside[0])
-        lit = self.inside[0] & ~find_dark_pixels(seen, self.inside[0])
-        sample = PixelSample.gather(seen, light, draw_places(lit, SAMPLE_PIXELS, seed))
+    def without_broken_frames(self, lit: tuple[Tensor, Tensor], seed: int) -> tuple[_Scene, list[Finding]]:
+        """The photographs that do not contradict the others by what `as_distant` gives, and a finding on those left."""
+        seen, _ = leave_out(lit[0], self.valid, self.inside[0])
+        bright = self.inside[0] & ~find_dark_pixels(seen, self.inside[0])
+        sample = PixelSample.gather(seen, lit[1], draw_places(bright, SAMPLE_PIXELS, seed))
         broken, findings = find_broken_frames(sample)
         kept = replace(self, images=self.images[~broken], positions=self.positions[~broken], valid=self.valid[~broken])
         return (kept, findings) if findings else (self, [])
